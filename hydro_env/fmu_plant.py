@@ -6,6 +6,7 @@ mapping file says which variables are meant, unless they have the names of `hydr
     schema: hydro_env/fmu_mapping/1
     rated: 10                                # value of the command variables at full command, unless the FMU has u_rated
     start: {supply.p: 1.0e+7}                # optional: parameters of the FMU
+    model: my_rig.yaml                       # optional: preset or model file, as large as the rig; else it counts as the paper's
     channel_1:
       command: {variable: valve1.u}
       speed: {variable: motor1.w, unit: rpm, sign: -1}
@@ -33,7 +34,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
-from hydro_env.plant import PARAMETERS, Plant, PlantModel
+from hydro_env.plant import PARAMETERS, Plant, PlantModel, load_model, preset_names
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
@@ -86,7 +87,13 @@ class FmuModel(PlantModel):
         """What tells it from others, the FMU's content included."""
         digest = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
         links = {f"{name}_{c + 1}": [link.variable, link.factor] for (name, c), link in self.links.items()}
-        return {**super().to_dict(), "fmu": digest, "links": links, "start": dict(self.start)}
+        return {
+            **super().to_dict(),
+            "fmu": digest,
+            "links": links,
+            "start": dict(self.start),
+            "rig": self.rig.to_dict(),
+        }
 
     def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64) -> FmuRigs:
         """Rigs of this kind. InputError if the FMU cannot be loaded, and for another dtype than float64."""
@@ -109,7 +116,9 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
     if not trust:
         raise InputError(f"{file}: is a program: using it runs code from the file; with --trust it is used")
     description = _description(str(file))
-    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(mapping)
+    rated, start, like, links = (
+        _read(mapping) if mapping is not None else (None, {}, None, _own_names(description))
+    )
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(file, variables, link.variable, f"{name} of channel {channel + 1}", _SIGNALS[name][1])
@@ -125,15 +134,16 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
         raise InputError(f"{mapping or file}: rated is missing: the value of the commands at full command")
     rated_V = float(one), float(two)
     name, values = Path(file).stem, {"u_rated": rated_V}
-    rig = PlantModel(name, {"R": _coils(rated_V)} | _own_values(variables, start) | values)
+    rig = like or PlantModel(name)
+    rig = rig.with_values({"R": _coils(rig, rated_V)} | _own_values(variables, start) | values)
     return FmuModel(name, values, (), file=str(file), rig=rig, links=links, start=start)
 
 
-def _coils(rated: tuple[float, float]) -> tuple[float, float]:
-    """Resistances by which these commands drive the paper's current: nothing else is known of the size of the rig."""
-    R, nominal = PARAMETERS["R"], PARAMETERS["u_rated"].nominal
-    one, two = (min(max(each / nominal * R.nominal, R.possible[0]), R.possible[1]) for each in rated)
-    return one, two
+def _coils(rig: PlantModel, rated: tuple[float, float]) -> tuple[float, float]:
+    """Resistances by which these commands drive the currents of a rig: in whatever unit they are, its valves open as far."""
+    least, most = PARAMETERS["R"].possible
+    one, two = (rig.value("R", c) * rated[c] / rig.value("u_rated", c) for c in (0, 1))
+    return min(max(one, least), most), min(max(two, least), most)
 
 
 def _own_values(variables: Mapping[str, Any], start: Mapping[str, float]) -> dict[str, tuple[float, float]]:
@@ -199,12 +209,15 @@ class _Mapping(FileTable):
 
     rated: Number | None = None
     start: dict[str, Number] = Field(default_factory=dict)
+    model: str = ""
     channel_1: _Channel
     channel_2: _Channel
 
 
-def _read(path: str | Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
-    """Rated command, start values and links of a mapping file."""
+def _read(
+    path: str | Path,
+) -> tuple[float | None, dict[str, float], PlantModel | None, dict[tuple[str, int], Link]]:
+    """Rated command, start values, model and links of a mapping file."""
     given = checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
     links = {}
     for channel, variables in enumerate((given.channel_1, given.channel_2)):
@@ -213,7 +226,8 @@ def _read(path: str | Path) -> tuple[float | None, dict[str, float], dict[tuple[
                 links[signal, channel] = variable.link(signal)
             except InputError as problem:
                 raise InputError(f"{path}: channel_{channel + 1}.{signal}: {problem}") from None
-    return given.rated, given.start, links
+    file = given.model if given.model in preset_names() else Path(path).parent / given.model
+    return given.rated, given.start, load_model(file) if given.model else None, links
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------

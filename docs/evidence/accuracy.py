@@ -38,9 +38,12 @@ from hydro_env.plant import (
     PlantModel,
     load_model,
     preset_names,
+    scales_of,
 )
 from hydro_env.practice.reference import simulate_reference
 from hydro_env.units import RPM
+
+from . import any_rig
 
 __all__ = ["COMMANDS", "Result", "against_reference", "commands", "compare", "drawn", "loads"]
 
@@ -104,20 +107,23 @@ def loads(model: PlantModel, seconds: float, rng: np.random.Generator) -> Array:
     return share * 1e7 * np.minimum(model.pair("D"), PARAMETERS["D"].nominal)
 
 
-def drawn(count: int, rng: np.random.Generator) -> tuple[list[PlantModel], int]:
-    """Random models around all presets in turn, and how many draws were refused."""
+def drawn(count: int, rng: np.random.Generator, rigs: bool = False) -> tuple[list[PlantModel], int]:
+    """Random models around all presets in turn, or around `rigs` of every size, and how many draws were refused."""
     models: list[PlantModel] = []
     refused, presets = 0, preset_names()
     while len(models) < count:
-        values: dict[str, float] = {}
+        base = load_model(
+            any_rig.drawn(int(rng.integers(2**31))) if rigs else presets[len(models) % len(presets)]
+        )
+        scales, values = scales_of(base), {}
         for name, p in PARAMETERS.items():
-            if rng.random() < 1.0 / 3.0:
-                values[name] = _value(p, *p.possible, rng)
+            if rng.random() < 1.0 / 3.0 and not (rigs and p.absolute):
+                values[name] = _value(p, *scales.parameter(p).possible, rng)
         for name in rng.choice(BUILT_IN, rng.integers(4), replace=False):
-            for p in CATALOGUE[name].parameters:
+            for p in scales.effect(CATALOGUE[name]).parameters:
                 values[f"{name}.{p.name}"] = _value(p, p.low, p.high, rng)
         try:
-            models.append(load_model(presets[len(models) % len(presets)]).with_values(values))
+            models.append(base.with_values(values))
         except InputError:
             refused += 1
     return models, refused
@@ -219,8 +225,8 @@ def table(results: Sequence[Result]) -> str:
     )
     for r in sorted(results, key=lambda r: (not r.off, -r.error)):
         numbers = ["" if v is None else f"{v:.3g}" for v in (r.speed, r.error, r.growth, r.reference)]
-        base = load_model(r.model.name)
-        own = {n: v[0] for n, v in r.model.values.items() if v != base.values.get(n)}
+        base = load_model(r.model.name).values if r.model.name in preset_names() else {}
+        own = {n: v[0] for n, v in r.model.values.items() if v != base.get(n)}
         said = " ".join([r.model.name, *(f"{name}={value:.6g}" for name, value in own.items())])
         writer.writerow([r.command, *numbers, int(r.diverged), f"{r.attempts:.4g}", said])
     return out.getvalue()
@@ -229,6 +235,9 @@ def table(results: Sequence[Result]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--rigs", action="store_true", help="around rigs of every size instead of the presets"
+    )
     parser.add_argument("--models", type=int, default=2000)
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     parser.add_argument("--seconds", type=float, default=1.0)
@@ -237,7 +246,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(options.seed)
-    models, refused = drawn(options.models, rng)
+    models, refused = drawn(options.models, rng, options.rigs)
     sampled = {
         int(n): options.commands[n % len(options.commands)]
         for n in rng.permutation(len(models))[: options.sample]

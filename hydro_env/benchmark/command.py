@@ -34,7 +34,7 @@ from hydro_env.files import write_json, write_text
 from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
-from hydro_env.plant import load_model
+from hydro_env.plant import load_model, scales_of
 from hydro_env.tasks import METRICS, OWN, SPLITS, Trace, default_mismatch, never_settled
 
 __all__ = ["SCHEMA", "Conditions", "Selection", "run"]
@@ -165,7 +165,7 @@ def run(
     if out is not None:
         write_json(Path(out) / "scores.json", scores)
         with beside_results(page := Path(out) / "scores.html"):
-            write_text(page, scores_page(scores, _traces(done, conditions.control_period)))
+            write_text(page, scores_page(scores, _traces(done, conditions)))
     return scores
 
 
@@ -356,7 +356,11 @@ def _told(cells: list[Cell], key: str, of: Callable[[Cell], Any]) -> list[dict[s
 def _drawn_over(plant: Any, split: str) -> list[str]:
     """Values of a plant that are not scored, since the split draws them: base parameters and effects."""
     own, ranges = load_model(plant).values, SPLITS[split].ranges
-    about = {name: " (varied about it)" if ranges[name].meant_for else "" for name in ranges if name in own}
+    about = {
+        name: " (varied about it)" if isinstance(ranges[name].meant_for, float) else ""
+        for name in ranges
+        if name in own
+    }
     return list(dict.fromkeys(name.partition(".")[0] + how for name, how in about.items()))
 
 
@@ -402,14 +406,24 @@ def _gaps_closed(summaries: dict[tuple[str, str, str, str], Summary], baseline: 
     return rows
 
 
-def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:
+def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:
     """The typical and the worst case behind every row, by split, scenario and controller, for the page."""
     places: dict[str, Any] = {}
     for cell in cells:
         if cell.traces:
             of_split = places.setdefault(cell.split, {})
             of_split.setdefault(cell.scenario, {})[cell.name] = cell.traces
-    return {"period_s": control_period, "metric": TRACE_METRIC, "splits": places} if places else None
+    if not places:
+        return None
+    limit = float(
+        f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}"
+    )  # of the axis of the speed difference
+    return {
+        "period_s": conditions.control_period,
+        "limit_rpm": limit,
+        "metric": TRACE_METRIC,
+        "splits": places,
+    }
 
 
 def report(scores: dict[str, Any]) -> str:

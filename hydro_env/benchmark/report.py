@@ -123,7 +123,7 @@ def privileged_information(scores: dict[str, Any], name: str) -> str:
 
 
 def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
-    """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
+    """The HTML page. `traces`: {"period_s", "limit_rpm", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
     titles = {name: f"{each.title}, {each.unit}" for name, each in METRICS.items()}

@@ -27,7 +27,8 @@ Controller = Annotated[str, Argument(
     help="A shipped controller, a gains file (.json), a policy (.npz) or file.py:Class, with gains if wanted (NAME:Kp=0.2).",
 )]
 Bench = Annotated[
-    str, Option("--plant", help="Preset or YAML file of the rig that it drives, whose valves go on the bench where needed.")
+    str | None, Option("--plant", help="Preset or YAML file of the rig that it drives, whose valves go on the bench where "
+    "needed. Default: that of a gains file, else paper_dead_zone.")
 ]
 Period = Annotated[float, number("Control period that is built in.", Limits(1e-4, 1.0, unit="s"), "--control-period")]
 Trust = Annotated[bool, Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")]
@@ -59,7 +60,7 @@ def fmu(
 
 @export.command(cls=HelpfulCommand)
 def c(
-    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = "paper_dead_zone", single: Single = False,
+    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None, single: Single = False,
     trust: Trust = False,
 ) -> None:  # fmt: skip
     """Export a controller as C99.
@@ -74,7 +75,7 @@ def c(
 
 @export.command(cls=HelpfulCommand)
 def st(
-    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = "paper_dead_zone", single: Single = False,
+    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None, single: Single = False,
     trust: Trust = False,
 ) -> None:  # fmt: skip
     """Export a controller as Structured Text.

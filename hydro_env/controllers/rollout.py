@@ -69,14 +69,8 @@ def roll_out(
     or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
     `dtype` is that of the plant; `steps` receives all that the environment gives.
     """
-    env = HydraulicSyncVectorEnv(
-        len(seeds),
-        plant=plant,
-        mismatch=mismatch,
-        scenario=scenario,
-        control_period=control_period,
-        dtype=dtype,
-    )
+    task = {"plant": plant, "mismatch": mismatch, "scenario": scenario}
+    env = HydraulicSyncVectorEnv(len(seeds), **task, control_period=control_period, dtype=dtype)
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
     signals = {key: [np.array(info[key])] for key in SIGNALS}
     commands: list[Floats] = []

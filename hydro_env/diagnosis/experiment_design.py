@@ -30,12 +30,12 @@ from functools import cached_property
 import numpy as np
 
 from ..measured import RigLog
-from ..plant import PlantModel
+from ..plant import PlantModel, scales_of
 from ..plant.sensors import NOISE
 from ..waveforms import triangle
 from .estimation import Estimate, Fit, intervals_of, replica_differences
 from .input.parts import Part
-from .models.base import BLOCK_S, UNITS, Request
+from .models.base import BLOCK_S, SI, UNITS, Request
 from .models.dynamic_rig import DynamicRig
 from .settings import Settings
 
@@ -175,7 +175,8 @@ def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> f
     """The noise of a signal, or what the best of the models leaves of it where that is more; of one not logged the usual."""
     if (channel, signal) not in fit.noise:
         unit, size = UNITS[signal]
-        return NOISE["pressure_bar" if unit == "bar" else f"{signal}_{unit}"] * size
+        usual = NOISE["pressure_bar" if unit == "bar" else f"{signal}_{unit}"] * size
+        return usual * scales_of(fit.rig.model).factor(SI[unit])
     left = [fit.rms(p.simulated[channel], channel) for p in models]
     powers = [np.mean([v * v for (_, s), v in own.items() if s == signal]) for own in left]
     return max(fit.noise[channel, signal], float(np.sqrt(min(powers))))

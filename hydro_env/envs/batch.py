@@ -32,7 +32,7 @@ from .profiles import encode
 from .randomisation import Episodes, Randomisation
 from .render import Recorder
 from .reward import Reward, load_reward
-from .rollout import Result, Rollout, Sensing
+from .rollout import Result, Rollout
 from .step_kernels import COLUMNS, STATE
 
 __all__ = ["HydraulicSyncVectorEnv", "Result"]
@@ -122,10 +122,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         width = FRAME * self.history
         self._check_memory(6.0 * 4 * width * self.num_envs, f"observations with a history of {self.history}")
         self._make_spaces()
-        sensing = Sensing(
-            noise_levels(noise, self.scales), self.reward.weights(self.scales.speed), scales_on(self.scales)
-        )
-        self._rollout = Rollout(made, self.control_period, width, sensing, self.threads)
+        deviation = noise_levels(noise, self.scales)
+        sensing = np.concatenate([scales_on(self.scales), self.reward.weights(self.scales.speed)])
+        self._rollout = Rollout(made, self.control_period, width, deviation, sensing, self.threads)
         self._randomisation = Randomisation(self.num_envs, self.model)
         self._history = History(self.num_envs, self.history)
         self._ended, self._begun = np.zeros(self.num_envs, np.bool_), False
@@ -134,7 +133,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._options: dict[int, dict[str, Any]] = {0: {}}
         self._held = np.zeros(self.num_envs, np.int64)
         width = RENDER_WIDTH.check(render_width, "render_width")
-        self._recorder = None if render_mode is None else Recorder(self.num_envs, width)
+        self._recorder = None if render_mode is None else Recorder(self.num_envs, width, self.scales.speed)
 
     def _make_spaces(self) -> None:
         self.metadata = {

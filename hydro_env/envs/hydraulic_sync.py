@@ -44,20 +44,22 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Observation space
 
-    `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by fixed scales; 12 * history with `errors`. With
-    `history` above 1 the last frames, oldest first; at the start of an episode the first frame stands for those before it.
+    `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by scales that follow the size of the rig;
+    12 * history with `errors`. With `history` above 1 the last frames, oldest first; at the start of an episode the first
+    frame stands for those before it.
 
     In order: set-point in force from now on; speeds of motors 1 and 2; currents of coils 1 and 2; pressure differences over
     motors 1 and 2; the last action, clipped. `hydro_env.envs.observation` has names, scales and noise as data, and
     docs/reference/environment.md as a table.
 
-    `hydro_env.envs.observation.decode` gives them back in SI.
+    `hydro_env.envs.observation.decode`, told the size of the rig (`hydro_env.plant.scales_of`), gives them back in SI.
 
     ## Reward
 
-    Minus the cost of the period: 0.5 |speed - set-point| / 100 rpm (mean of both motors) + 1.5 |speed 1 - speed 2| /
-    100 rpm + 0.1 |change of action| (mean of both valves). Speeds are the true ones at the end of the period, the
-    set-point the one that was in force. The terms are in `info`; `hydro_env.envs.Reward` describes the weights.
+    Minus the cost of the period: 0.5 |speed - set-point| / 100 rpm (mean of both motors) + 1.5 |speed 1 - speed 2| / 100
+    rpm + 0.1 |change of action| (mean of both valves); 100 rpm on the paper's rig, on another one in proportion to its
+    speed. Speeds are the true ones at the end of the period, the set-point the one that was in force. The terms are in
+    `info`; `hydro_env.envs.Reward` describes the weights.
 
     ## Start
 
@@ -74,14 +76,14 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Info
 
-    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2),
-    `command_V` (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`,
-    `reward_variation`, and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds
-    20 rpm, and `cost_travel`, the mean change of the commands as a fraction of the rated one. Where the model has a supply
-    pressure (`rig`), `lowest_line_pressure_bar`, the least gauge pressure in the four lines at the end of the period: below
-    -1 bar oil would cavitate, and the simulation is no longer that of a real rig. Without a supply pressure only the difference
-    of both lines is known. After a reset `mismatch`
-    (parameter: (2,) values, SI), `fault` (its name, or "") and `case` (number in the split's list, -1 if it has none).
+    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2), `command_V`
+    (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`, `reward_variation`,
+    and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds 20 rpm (on the
+    paper's rig), and `cost_travel`, the mean change of the commands as a fraction of the rated one. Where the model has a
+    supply pressure (`rig`), `lowest_line_pressure_bar`, the least gauge pressure in the four lines at the end of the
+    period: below -1 bar oil would cavitate, and the simulation is no longer that of a real rig. Without a supply pressure
+    only the difference of both lines is known. After a reset `mismatch` (parameter: (2,) values, SI), `fault` (its name,
+    or "") and `case` (number in the split's list, -1 if it has none).
 
     ## Arguments
 

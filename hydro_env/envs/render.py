@@ -29,7 +29,7 @@ SHOWN = 300
 ACROSS, DOWN = 32, 24
 #: It is drawn this many times larger, then reduced, so that lines are smooth.
 FINER = 2
-#: Range of the axis of the speeds, rpm; faster rigs have a multiple of it.
+#: Range of the axis of the speeds on the paper's rig, rpm; where motors are faster it is a multiple of it.
 MAX_RPM = 800.0
 
 _WHITE, _GRID, _BLACK = "#ffffff", "#d8dade", "#303030"
@@ -55,9 +55,10 @@ def _imported(module: str, why: str) -> Any:
 class Recorder:
     """The recent past of every rig: set-point and speeds in rpm, commands in V, shaft angles in rad."""
 
-    def __init__(self, num_rigs: int, width: int) -> None:
+    def __init__(self, num_rigs: int, width: int, speed: float = 1.0) -> None:
+        """`speed`: scale of the speeds (`Scales`)."""
         _imported("PIL", "pictures need Pillow")
-        self._width = width
+        self._width, self._most = width, float(f"{MAX_RPM * speed:.1g}")
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
         self._instants = np.zeros(num_rigs, np.int64)
 
@@ -98,7 +99,7 @@ class Recorder:
         speeds = [(past[:, _SETPOINT], _BLACK), *zip(past[:, _SPEED].T, _COLOURS, strict=True)]
         commands = list(zip(past[:, _COMMAND].T, _COLOURS, strict=True))
         fastest = float(np.nanmax(np.abs([values for values, _ in speeds]), initial=1.0))
-        most = MAX_RPM * math.ceil(fastest / MAX_RPM)
+        most = self._most * math.ceil(fastest / self._most)
         page.axes((10.9, 16.6), "speed, rpm", time, most, 0.5 * most, speeds)
         page.axes((18.6, 21.8), "command, V", time, rated, rated, commands)
         page.times(23.0, time)

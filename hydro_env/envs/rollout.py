@@ -6,7 +6,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from .plants import PlantLike
 from .profiles import Profiles
 from .step_kernels import SIGNALS, STATE, TRUE, apply, observe, take_inputs, wind
 
-__all__ = ["Result", "Rollout", "Sensing"]
+__all__ = ["Result", "Rollout"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -23,23 +23,18 @@ Rows = NDArray[np.int64]
 Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]
 
 
-class Sensing(NamedTuple):
-    """What `take_inputs` and `observe` take: standard deviations (6,) of the sensors' noise, scaled like the observation; weights
-    (5,) of the reward and of the cost; scales (9,) of a frame."""
-
-    deviation: Floats
-    weights: Floats
-    scales: Floats
-
-
 class Rollout:
     """The rigs of a batch with the `STATE` of their episodes.
 
-    `width` is that of an observation, `sensing` how rows are sensed and judged.
+    `deviation` (6,) is that of the sensors' noise, scaled like the observation, of `width` numbers; `sensing` (14,) as for
+    `observe`.
     """
 
-    def __init__(self, plant: PlantLike, period: float, width: int, sensing: Sensing, threads: int) -> None:
-        self.period, self.width, self.threads, self.sensing = period, width, threads, sensing
+    def __init__(
+        self, plant: PlantLike, period: float, width: int, deviation: Floats, sensing: Floats, threads: int
+    ) -> None:
+        self.period, self.width, self.threads = period, width, threads
+        self.deviation, self.sensing = deviation, sensing
         self.rows = np.arange(plant.num_rigs)
         self.state: NDArray[Any] = np.zeros(plant.num_rigs, STATE)
         self.profiles = Profiles(plant.num_rigs)
@@ -97,8 +92,7 @@ class Rollout:
 
     def sense(self, rows: Rows, result: Result) -> None:
         """Fills the result of some rows at their present step; of observations the newest frame."""
-        deviation, weights, scales = self.sensing
-        take_inputs(rows, self.state, self.profiles.starts, self.profiles.levels, deviation)
-        observe(rows, self.state, self.plant.memory, self._where, weights, scales, *result)
+        take_inputs(rows, self.state, self.profiles.starts, self.profiles.levels, self.deviation)
+        observe(rows, self.state, self.plant.memory, self._where, self.sensing, *result)
         if self._winds:
             wind(rows, self.state, self.plant.memory, self._where[SIGNALS.index("angle")], result[1])

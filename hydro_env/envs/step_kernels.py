@@ -111,13 +111,14 @@ def take_inputs(rows, state, starts, levels, deviation):
 
 
 @_threaded
-def observe(rows, state, memory, where, weights, scales, observation, true, reward, terminated, truncated):
+def observe(rows, state, memory, where, sensing, observation, true, reward, terminated, truncated):
     """Sensors, reward and true signals of some rows at their present step.
 
-    memory, where: the plant's memory and the rows of `SIGNALS` in it. weights (5,): of the reward, and the speed difference, rpm,
-    beyond which `cost_difference` counts. scales (9,): what 1.0 stands for in a frame. The last five are filled: observation
-    (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
+    memory, where: the plant's memory and the rows of `SIGNALS` in it. sensing (14,): what 1.0 stands for in a frame; then the
+    weights of the reward, and the speed difference, rpm, beyond which `cost_difference` counts. The last five are filled:
+    observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
     """
+    scales, weights = sensing[:-5], sensing[-5:]
     newest = observation.shape[1] - scales.size
     half = memory.shape[2] // 2
     for i in rows:

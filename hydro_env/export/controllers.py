@@ -11,6 +11,7 @@ from hydro_env import __version__
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
+from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.errors import InputError, place_of
 from hydro_env.files import write_json, write_text
 from hydro_env.ir.reader import TranslationError
@@ -26,14 +27,15 @@ __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
 
 
 def program_of(
-    spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False, trust: bool = False
+    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False
 ) -> Program:
-    """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed;
-    `single`: a network in single precision, as it runs in Python unless asked otherwise; `trust`: as for `make_controller`.
+    """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
+    default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python
+    unless asked otherwise; `trust`: as for `make_controller`.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
-    model = load_model(plant)
+    model = load_model(plant or _tuned_on(spec))
     controller = _controller(spec, model, single, trust)
     try:
         return trace(controller, period, controller.name.partition(":")[0], scales_of(model))
@@ -46,6 +48,12 @@ def program_of(
 
 def _refusal(spec: str, why: object) -> InputError:
     return InputError(f"controller {spec!r} cannot be exported: {why}")
+
+
+def _tuned_on(spec: str) -> str:
+    """The plant that a gains file names, or else the paper's."""
+    path = split_gains(spec)[0]
+    return str((read_gains(path).tuning if path.endswith(".json") else {}).get("plant", "paper_dead_zone"))
 
 
 def _controller(spec: str, model: PlantModel, single: bool, trust: bool) -> Any:
@@ -70,7 +78,7 @@ def _about(spec: str) -> str:
 
 
 def c_files(
-    spec: str, folder: Path, period: float, plant: str, single: bool, trust: bool = False
+    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool = False
 ) -> dict[str, Any]:
     """Writes NAME.h, NAME.c and export.json; what the latter holds."""
     program = program_of(spec, period, plant, single, trust)
@@ -80,7 +88,7 @@ def c_files(
 
 
 def st_file(
-    spec: str, folder: Path, period: float, plant: str, single: bool, trust: bool = False
+    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool = False
 ) -> dict[str, Any]:
     """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
     program = program_of(spec, period, plant, single, trust)

@@ -172,8 +172,8 @@ class LiveRig:
         row["stuck_from"] = np.where(sticks[0], 0, NEVER)
         observation, true = np.zeros((1, FRAME), np.float32), np.zeros((1, TRUE))
         reward, ended = np.zeros(1), np.zeros((2, 1), np.bool_)
-        given = self._state, self.plant.memory, self._where, np.zeros(5), scales_on(self.scales)
-        observe(_ROW, *given, observation, true, reward, *ended)
+        sensing = np.append(scales_on(self.scales), np.zeros(5))
+        observe(_ROW, self._state, self.plant.memory, self._where, sensing, observation, true, reward, *ended)
         return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
 
     def hold(

@@ -18,11 +18,13 @@ A valve is put in before the values of the same file, which may then change it. 
 parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the named model has them on its channel 1.
 
 Values are SI. Anything unknown, and a value that no such component has (`Parameter.possible`), is refused with a line that
-names the file and the key. A base parameter beyond its plausible range gives a warning, unless `sources` says where it is from.
+names the file and the key. A rig of an unusual speed, spool frequency or start gives a warning, unless `sources` says where the
+values are from.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import warnings
@@ -37,11 +39,12 @@ from pydantic import ConfigDict, Field
 
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..reading import parse_yaml, read_yaml
-from ..units import RPM, with_unit
+from ..units import RPM
 from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
+from .scales import rated
 from .validation import wrong_values
 
 __all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
@@ -125,13 +128,20 @@ class _Draft:
             if _of_valve(name):
                 self.put(name, side, valve.value(name, 0))
 
-    def unusual(self, name: str, side: str, value: float) -> str:
-        """What is unusual of a base parameter that the file gives, on a rig with its displacement; "" if nothing is."""
-        p, D = PARAMETERS[name], PARAMETERS["D"]
-        size = 1.0 if p is D else self.values.get("D", [D.nominal] * 2)[_SIDES[side][0]] / D.nominal
-        low, high = p.plausible(size)
-        usual = f"{low:g} to {with_unit(high, p.unit)}"
-        return "" if low <= value <= high else f"{name} {value:g} (usual {usual})"
+    def unusual(self, channel: int) -> Iterator[tuple[str, Collection[str]]]:
+        """What is unusual of a channel, and the values that it follows from."""
+        of, valve = rated(self, channel), ("Kq", "alpha", "k", "R", "u_rated", "x_max")
+        speed, frequency = (
+            of["flow"] / of["displacement"],
+            math.sqrt(self.value("k", channel) / self.value("m", channel)),
+        )
+        seconds = of["inertia"] * speed / (of["displacement"] * of["pressure"])
+        if not 20.0 <= speed / RPM <= 20000.0:
+            yield f"the open valve turns the motor at {speed / RPM:.3g} rpm", ("D", *valve)
+        if not 2.0 <= frequency / (2.0 * math.pi) <= 1000.0:
+            yield f"the spool swings at {frequency / (2.0 * math.pi):.3g} Hz", ("k", "m")
+        if seconds > 60.0:
+            yield f"the supply takes {seconds:.3g} s to bring the motor up to speed", ("J", "D", *valve)
 
 
 def _of_valve(name: str) -> bool:
@@ -167,13 +177,11 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    questioned = {
-        name: draft.unusual(name, side, value)
-        for name, side, _, value in file.values()
-        if name in PARAMETERS and name not in file.sources and value and value not in _shipped(name)
-    }
-    if unusual := [text for text in questioned.values() if text]:
-        told = f"{where}: unusual for such a rig: {', '.join(unusual)}; if that is meant, say under `sources` where it is from"
+    doubtful = {name for name, _, _, _ in file.values() if name not in file.sources}
+    found = (one for channel in (0, 1) for one in draft.unusual(channel))
+    questioned = {text: sorted(doubtful.intersection(names)) for text, names in found}
+    if unusual := [f"{text} (by {', '.join(names)})" for text, names in questioned.items() if names]:
+        told = f"{where}: unusual: {'; '.join(unusual)}; if that is meant, say under `sources` where the values are from"
         warnings.warn(told, InputWarning, stacklevel=2)
     return model
 
@@ -236,13 +244,6 @@ def preset_names() -> list[str]:
     folder = resources.files(__package__) / "presets"
     files = [entry.name for entry in folder.iterdir()]
     return sorted(name.removesuffix(".yaml") for name in files if name.endswith(".yaml"))
-
-
-@cache
-def _shipped(name: str) -> frozenset[float]:
-    """The values of a base parameter in the presets, which say where they are from."""
-    files = [_read(preset)[0] for preset in preset_names()]
-    return frozenset(value for file in files for own, _, _, value in file.values() if own == name)
 
 
 def preset_summary(name: str) -> str:

@@ -31,10 +31,6 @@ SPOOL_FORCE = {"k": 1.0}
 SPOOL_TRAVEL = {"Kq": -1.0}
 MOTOR_SIZE = {"D": 1.0}
 
-#: Base parameters that a rig of similar machines has in proportion to the displacement: with it come inertia, losses, and the
-#: volume and the flow to fill it. The fluid, the coil and the spool need not be others.
-GROWS = ("D", "J", "B", "Km", "V", "Kq")
-
 #: What a parameter is in the law of its effect, see `Parameter`.
 ROLES = ("size", "limit", "shape", "phase", "order", "time_constant")
 
@@ -59,7 +55,8 @@ class Parameter:
 
     `possible` are the values that a model may have, beside the neutral one: for the parameter of an effect the plausible
     bounds unless given, for a base parameter those that are simulated correctly, see `_POSSIBLE`. What is usual on the paper's
-    rig is scaled to others by the unit (`scales`), unless it is `absolute`, as a property of the fluid.
+    rig is scaled to others by the unit (`scales`), unless it is `absolute`: a property of the fluid, or what makes the size of a
+    rig itself. `per` is the unit of a quantity of the paper's rig to which one without unit is relative.
 
     ValueError for an unknown role or direction, or a size that has no size.
     """
@@ -80,6 +77,7 @@ class Parameter:
     starts: tuple[float, ...] = ()
     possible: tuple[float, float] = (nan, nan)
     absolute: bool = False
+    per: str = ""
 
     def __post_init__(self) -> None:
         if isnan(self.typical):
@@ -115,12 +113,6 @@ class Parameter:
         """Whether the parameter carries the amount of its effect, so that the effect vanishes at its neutral value."""
         return self.role in ("size", "limit")
 
-    def plausible(self, size: float) -> tuple[float, float]:
-        """The plausible bounds of a base parameter on a rig whose motor has `size` times the displacement of the table's: those
-        of what `GROWS` with it are `size` times the table's."""
-        factor = size if self.name in GROWS else 1.0
-        return factor * self.low, factor * self.high
-
     @property
     def title(self) -> str:
         """What the parameter is called in words."""
@@ -129,9 +121,9 @@ class Parameter:
 
 _ROWS = (
     # --- hydraulic motor: equations (1)-(3), Table I ---
-    Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION, log=True,
-        scaling={"D": 1.0}, note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
-    Parameter("J", "kg m2", 0.0028, low=0.0014, high=0.0056, log=True, scaling=MOTOR_SIZE,
+    Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION,
+        log=True, absolute=True, scaling={"D": 1.0}, note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
+    Parameter("J", "kg m2", 0.0028, low=0.0014, high=0.0056, log=True, absolute=True, scaling=MOTOR_SIZE,
         note="inertia of motor and load", source="paper, Table I"),
     Parameter("B", "N m s/rad", 0.00045 / RPM, low=0.0, high=0.02, log=True, scaling=MOTOR_SIZE,
         note="viscous friction of the motor", source="paper, Table I: 0.00045 N m/rpm"),
@@ -140,7 +132,7 @@ _ROWS = (
         "published loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute "
         "the published gains are unstable",
         source="paper, Table I: 15.92 cm3/bar"),
-    Parameter("beta", "Pa", 12670 * BAR, low=4e8, high=1.9e9, log=True, scaling={"D": -1.0},
+    Parameter("beta", "Pa", 12670 * BAR, low=4e8, high=1.9e9, log=True, absolute=True, scaling={"D": -1.0},
         note="bulk modulus of the fluid", source="paper, Table I: 12670 bar"),
     Parameter("V", "m3", 1e-4, low=2e-5, high=1e-3, log=True,
         note="half the oil volume of one line, from valve to motor; results hardly depend on it",
@@ -148,17 +140,17 @@ _ROWS = (
     # --- valve: equations (5), (6), (8), Table II ---
     Parameter("m", "kg", 0.4, low=0.2, high=0.8, log=True, scaling={"k": 1.0, "Kq": 1.0},
         note="mass of spool and solenoid core", source="paper, Table II"),
-    Parameter("R", "Ohm", 100.0, low=80.0, high=125.0, log=True,
+    Parameter("R", "Ohm", 100.0, low=80.0, high=125.0, log=True, absolute=True,
         note="resistance of the coil", source="paper, Table II; (6) prints R_i for R i"),
-    Parameter("L", "H", 0.1, low=0.05, high=0.2, log=True,
+    Parameter("L", "H", 0.1, low=0.05, high=0.2, log=True, absolute=True,
         note="inductance of the coil", source="paper, Table II"),
-    Parameter("alpha", "N/A", 20.0, low=14.0, high=28.0, log=True, scaling=SPOOL_FORCE,
+    Parameter("alpha", "N/A", 20.0, low=14.0, high=28.0, log=True, absolute=True, scaling=SPOOL_FORCE,
         note="force of the coil per current; also its back-EMF", source="paper, Table II: 20 V s/m"),
-    Parameter("k", "N/m", 17000.0, low=12000.0, high=24000.0, log=True, scaling={"k": 1.0, "Kq": 1.0},
+    Parameter("k", "N/m", 17000.0, low=12000.0, high=24000.0, log=True, absolute=True, scaling={"k": 1.0, "Kq": 1.0},
         note="rate of the centring springs", source="paper, Table II"),
     Parameter("C", "N s/m", 0.2, low=0.0, high=40.0,
         note="viscous damping of the spool", source="paper, Table II: 0.2 without unit, read as N s/m"),
-    Parameter("Kq", "m2/s", 476106e-6, low=0.15, high=0.75, log=True, scaling={"Kq": 1.0, "D": 1.0},
+    Parameter("Kq", "m2/s", 476106e-6, low=0.15, high=0.75, log=True, absolute=True, scaling={"Kq": 1.0, "D": 1.0},
         note="flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the "
         "class of this valve",
         source="paper, Table II: 476106 (V1), 315000 (V2), no unit"),
@@ -183,24 +175,30 @@ _ROWS = (
         note="stiffness of the end stops: the coil's full force compresses them by 30 um", source="assumed"),
     Parameter("v_stop", "m/s", 0.05, low=0.01, high=0.2, log=True,
         note="greatest rebound speed of the end stops", source="assumed: squeeze film, hardly any rebound"),
-    Parameter("u_rated", "V", 73.0, low=1.0, high=inf,
+    Parameter("u_rated", "V", 73.0, low=1.0, high=inf, absolute=True,
         note="limit of the command, both ways", source="paper, Fig. 2: 730 mA over R = 100 Ohm"),
 )  # fmt: skip
 
-#: What is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`):
-#: ten times the plausible range either way, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is
-#: the piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as
-#: long as mass and line do not ring too fast (`validation.check_channel`).
+#: What is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`): of what makes
+#: the size of a rig, from 2 cm3 and 10 bar to 500 cm3 and 350 bar; of the rest ten times the plausible range either way on a rig
+#: of the paper's size, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is the piston area, or
+#: whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as long as mass and line do
+#: not ring too fast (`validation.check_channel`).
 _POSSIBLE: dict[str, tuple[float, float]] = {
     "D": (1e-7, 0.3),
-    "Kq": (1e-6, 7.5),
+    "J": (3e-6, 1e3),
+    "Kq": (1e-6, 20.0),
     "Km": (0.0, 5e-9),
-    "R": (1.0, 1250.0),
-    "L": (0.001, 2.0),
+    "R": (0.1, 1e4),
+    "L": (1e-4, 100.0),
+    "alpha": (0.1, 1e5),
+    "k": (1e3, 1e6),
+    "C": (0.0, 1e3),
     "Fc": (0.0, 2.0),
     "Fs": (0.0, 2.0),
-    "m": (0.04, 8.0),
-    "s1": (10.0, 2000.0),
+    "m": (0.03, 8.0),
+    "s0": (3e3, 1e7),
+    "s1": (10.0, 1e4),
     "x_max": (1e-4, 5e-3),
     "k_stop": (1e4, 1e7),
     "v_stop": (1e-3, 0.5),
@@ -217,5 +215,13 @@ PARAMETERS: dict[str, Parameter] = {row.name: _with_possible(row) for row in _RO
 
 #: A shape parameter of effects whose size depends on the pressure drop over single edges.
 SUPPLY_PRESSURE = Parameter(
-    "supply_pressure", "Pa", 100e5, low=50e5, high=350e5, log=True, note="supply pressure", source="assumed"
+    "supply_pressure",
+    "Pa",
+    100e5,
+    low=50e5,
+    high=350e5,
+    log=True,
+    possible=(10e5, 350e5),
+    note="supply pressure",
+    source="assumed",
 )

@@ -18,7 +18,7 @@ from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
 if TYPE_CHECKING:
     from .catalogue import Effect
 
-__all__ = ["PAPER", "Rig", "Scales", "scales_of"]
+__all__ = ["PAPER", "Rig", "Scales", "rated", "scales_of"]
 
 #: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
 _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
@@ -37,6 +37,8 @@ _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
     "m2/s": {"flow": 1, "travel": -1},
     # line and motor
     "Pa": {"pressure": 1},
+    "1/Pa": {"pressure": -1},
+    "1/MPa": {"pressure": -1},
     "m3": {"displacement": 1},
     "m3/rad": {"displacement": 1},
     "m2": {"displacement": 2 / 3},
@@ -94,9 +96,8 @@ class Scales:
         return factor
 
     def parameter(self, p: Parameter) -> Parameter:
-        """A parameter of an effect with the bounds and sizes that are usual on this rig; `p` itself where they are the same, as
-        those of a base parameter."""
-        factor = 1.0 if p.absolute or p.name in PARAMETERS else self.factor(p.unit)
+        """A parameter with the bounds and sizes that are usual on this rig; `p` itself where they are the same."""
+        factor = 1.0 if p.absolute else self.factor(p.unit) / self.factor(p.per)
         if factor == 1.0:
             return p
         low, nominal, high, typical = (factor * x for x in (p.low, p.nominal, p.high, p.typical))
@@ -130,12 +131,12 @@ def scales_of(model: Rig, channel: int | None = None) -> Scales:
     All but that of the command are preferred numbers (ISO 3, R10): they say how large a machine is, not how two of a kind differ,
     and a model that has been calibrated has the scales that it had before.
     """
-    paper = _rated(lambda name: PARAMETERS[name].nominal if name in PARAMETERS else inf)
-    both = [_rated(lambda name, c=c: model.value(name, c)) for c in (0, 1)]  # type: ignore[misc]
+    both = [rated(model, c) for c in (0, 1)]
     found = {}
-    for name, one in paper.items():
+    for name, one in _RATED.items():
         pair = [each[name] / one for each in both]
-        found[name] = max(pair) if channel is None or name not in _OF_VALVE else pair[channel]
+        ratio = max(pair) if channel is None or name not in _OF_VALVE else pair[channel]
+        found[name] = ratio if 0.0 < ratio < inf else 1.0  # a value that is refused says nothing
     command = found.pop("command")
     return Scales(command, **{name: _preferred(ratio) for name, ratio in found.items()})
 
@@ -146,10 +147,14 @@ def _preferred(ratio: float) -> float:
     return float(f"{_R10[place]}e{decade}")
 
 
+def rated(model: Rig, channel: int) -> dict[str, float]:
+    """What a channel has at its rated command, by the names of `Scales`, SI."""
+    return _rated(lambda name: model.value(name, channel))
+
+
 def _rated(value: Callable[[str], float]) -> dict[str, float]:
-    """What a channel has at its rated command, by the names of `Scales`."""
-    command, current = value("u_rated"), value("u_rated") / value("R")
-    travel = min(value("alpha") * current / value("k"), value("x_max"))
+    command, current = value("u_rated"), value("u_rated") / (value("R") or inf)
+    travel = min(value("alpha") * current / (value("k") or inf), value("x_max"))
     supply = value("pressure_dependent_flow.supply_pressure")
     return {
         "command": command,
@@ -161,3 +166,6 @@ def _rated(value: Callable[[str], float]) -> dict[str, float]:
         "inertia": value("J"),
         "pressure": supply if 0.0 < supply < inf else SUPPLY_PRESSURE.nominal,
     }
+
+
+_RATED = _rated(lambda name: PARAMETERS[name].nominal if name in PARAMETERS else inf)

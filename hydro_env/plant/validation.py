@@ -46,11 +46,11 @@ def inside(value: float, ends: tuple[float, float]) -> bool:
 
 
 def wrong_values(model: Rig, names: Iterable[str]) -> Iterator[tuple[str, int, str]]:
-    """Which of these values of a model are out of range on a rig of its size: name, channel, and what is wrong. Base parameters,
-    by which the size goes, come first."""
+    """Which of these values of a model are out of range on a rig of its size: name, channel, and what is wrong. Those by which
+    the size goes come first."""
     sizes = PAPER, PAPER
-    for name in sorted(names, key=lambda name: "." in name):
-        if "." in name and sizes[0] is PAPER:
+    for name in sorted(names, key=lambda name: not parameter_of(name).absolute):
+        if not parameter_of(name).absolute and sizes[0] is PAPER:
             sizes = scales_of(model, 0), scales_of(model, 1)
         for channel in (0, 1):
             p = sizes[channel].parameter(parameter_of(name))

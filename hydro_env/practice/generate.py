@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 from ..errors import InputError, suggestion
 from ..files import write_text
 from ..limits import Limits
-from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model
+from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
 from .manoeuvres import RUNS
 from .played import plans_of
-from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, log_text
+from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text
 from .reference import FORMS
-from .reference.forms import UNITS, Constants, draw
+from .reference.forms import UNITS, Constants, draw, scaled
 
 __all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
 
@@ -128,7 +128,8 @@ class Practice:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{out}: cannot make this folder: {error.strerror}") from None
-        texts = {f"{name}.csv": log_text(columns) for name, columns in self.logs.items()}
+        kinds = columns_of(scales_of(self.given))
+        texts = {f"{name}.csv": log_text(columns, kinds) for name, columns in self.logs.items()}
         truth = dict(self.truth)
         truth["log_sha256"] = {
             name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()
@@ -156,12 +157,14 @@ def make_practice(
         effects = [name if channel == "rig" else f"{name}:{channel}" for name, channel in effects.items()]
     chosen = parse_effects(effects)
     own = PracticeSettings(**settings)
-    check_values(own.values, chosen)
     given = load_model(model)
+    check_values(own.values, chosen, given)
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
     hidden = choose(given, chosen, own.values, own.severity, own.duration, np.random.default_rng(size_seed))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
-    constants = draw(np.random.default_rng(form_seed)) if forms == "different" else None
+    constants = (
+        scaled(draw(np.random.default_rng(form_seed)), scales_of(given)) if forms == "different" else None
+    )
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
     recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, own.duration)
     logs = {}

@@ -90,15 +90,20 @@ def parse_values(words: Iterable[str]) -> dict[str, float]:
     return values
 
 
-def check_values(values: Mapping[str, float], effects: Mapping[str, str]) -> None:
-    """InputError unless every `effect.parameter` is of an effect to hide and within its bounds."""
+def _usual(given: PlantModel, name: str, channel: str) -> Effect:
+    """An effect with the sizes that are usual on a rig like `given`."""
+    return scales_of(given, {"1": 0, "2": 1}.get(channel)).effect(CATALOGUE[name])
+
+
+def check_values(values: Mapping[str, float], effects: Mapping[str, str], given: PlantModel) -> None:
+    """InputError unless every `effect.parameter` is of an effect to hide and within its bounds on a rig like `given`."""
     for key, value in values.items():
         name, _, own = key.partition(".")
         if name not in effects:
             raise InputError(
                 f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})"
             )
-        known = {p.name: p for p in CATALOGUE[name].parameters}
+        known = {p.name: p for p in _usual(given, name, effects[name]).parameters}
         if own not in known:
             raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {suggestion(own, known)}")
         p = known[own]
@@ -178,8 +183,7 @@ def choose(
     for name, channel in effects.items():
         explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         # Everything is drawn, so that an explicit value changes no other one.
-        usual = scales_of(given, {"1": 0, "2": 1}.get(channel)).effect(CATALOGUE[name])
-        chosen = {**_draw(usual, severity, duration, rng), **explicit}
+        chosen = {**_draw(_usual(given, name, channel), severity, duration, rng), **explicit}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
@@ -218,7 +222,7 @@ def true_model(
             if on[c] and acts is not None and not CATALOGUE[h.name].is_neutral(acts[c]):
                 raise InputError(
                     f"{h.name}: model {given.name!r} has this effect on channel {c + 1} already; "
-                    "choose another base model (e.g. paper) or effect"
+                    "hide another effect, or begin with a model without this one"
                 )
         values = {}
         for own, value in h.parameters.items():

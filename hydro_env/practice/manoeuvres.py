@@ -1,6 +1,7 @@
 """What a practice rig is asked to do: manoeuvres on the grid of control periods, each seed with its own.
 
-Amplitudes, levels, times and order are drawn. A round of a run lasts `ROUND` s; a longer log has more rounds with other
+Amplitudes, levels, times and order are drawn, set-points and loads for a rig of the paper's size (`Plan.scaled` for another). A
+round of a run lasts `ROUND` s; a longer log has more rounds with other
 values, a shorter one the beginning of the first.
 
     fit_1   valve bench, open loop: slow and fast triangles, steps of many sizes both ways, steps under load, small loops
@@ -44,6 +45,19 @@ class Plan:
         """One after the other."""
         rows = list(parts)
         return Plan(*(np.concatenate([getattr(p, n) for p in rows]) for n in ("value", "closed", "load")))
+
+    def scaled(self, speed: float, torque: float) -> Plan:
+        """The same with set-points and loads times as large."""
+        return Plan(np.where(self.closed, speed, 1.0) * self.value, self.closed, torque * self.load)
+
+    def ramped(self, command: float, setpoint: float) -> Plan:
+        """The same with commands and set-points that change by so much from row to row at most."""
+        value, now = self.value.copy(), 0.0
+        for n, (wanted, closed) in enumerate(zip(self.value, self.closed, strict=True)):
+            now = 0.0 if n and closed != self.closed[n - 1] else now
+            step = setpoint if closed else command
+            value[n] = now = now + min(max(wanted - now, -step), step)
+        return Plan(value, self.closed, self.load)
 
     def first(self, rows: int) -> Plan:
         """The beginning of it."""

@@ -1,28 +1,40 @@
 """The rig that plays a manoeuvre, its speed controllers, its sensors, and the log that they leave.
 
 Commands change once in a control period of 10 ms; the log may be faster. Noise is that of `plant.sensors`; the recorded
-values are rounded to the resolution of each sensor.
+values are rounded to the resolution of each sensor. Sensors are those for the range of the rig: noise and resolution, as the
+set-points and loads of a manoeuvre, grow with it (`plant.scales`).
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..plant import Plant, PlantModel
+from ..plant import Plant, PlantModel, Scales, scales_of
+from ..plant.scales import PAPER, rated
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
 from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
 
-__all__ = ["CATALOGUE_FORMS", "COLUMNS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Recorder", "log_text"]
+__all__ = [
+    "CATALOGUE_FORMS",
+    "COLUMNS",
+    "CONTROL_PERIOD",
+    "RECORDABLE",
+    "SENSORS",
+    "Recorder",
+    "columns_of",
+    "log_text",
+]
 
 Array = NDArray[np.float64]
 
@@ -60,12 +72,25 @@ COLUMNS = {
     "pressure_a": Column("bar", 2, "pressure_a", BAR, NOISE["pressure_bar"], 0.01),
     "pressure_b": Column("bar", 2, "pressure_b", BAR, NOISE["pressure_bar"], 0.01),
 }
+#: What the units of columns measure, by which they grow with a rig; a command is written alike on every one.
+_MEASURES = {"rpm": "rad/s", "A": "A", "bar": "Pa", "Nm": "N m", "mm": "m", "lpm": "m3/s"}
 SENSORS = {name: column for name, column in COLUMNS.items() if column.signal}
 #: What may be recorded besides time, command and speed: columns by the name under which they are asked for.
 RECORDABLE: dict[str, tuple[str, ...]] = {
     name: (name,) for name in ("setpoint", "current", "pressure", "load", "spool", "flow")
 }
 RECORDABLE["line_pressures"] = ("pressure_a", "pressure_b")
+
+
+def columns_of(scales: Scales) -> dict[str, Column]:
+    """The columns of a log of a rig of this size."""
+    found = {}
+    for name, column in COLUMNS.items():
+        factor = scales.factor(_MEASURES.get(column.unit, ""))
+        decimals = column.decimals + max(0, math.ceil(-math.log10(factor)))
+        sensor = {"noise": factor * column.noise, "resolution": factor * column.resolution}
+        found[name] = replace(column, decimals=decimals, **sensor)
+    return found
 
 
 class _CatalogueRig:
@@ -96,18 +121,74 @@ def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
     return signals | {name: np.where(line < _VACUUM, np.nan, line) for name, line in lines.items()}
 
 
+def _of_the_papers_size(given: PlantModel) -> bool:
+    return replace(scales_of(given), command=1.0) == PAPER
+
+
+@dataclass(frozen=True)
+class _Motor:
+    """A motor behind its valve, linearised: its `full` speed at the rated command without load, rpm, the square of the frequency
+    at which it swings on its lines, (rad/s)2, how fast that decays, 1/s, the time in which the supply brings it up to speed, s,
+    and whether its leakage holds the pressure below the supply's."""
+
+    full: float
+    swing: float
+    decay: float
+    start: float
+    leaks: bool
+
+    @classmethod
+    def of(cls, given: PlantModel, channel: int) -> _Motor:
+        value = {name: given.value(name, channel) for name in ("D", "J", "B", "Km", "V", "beta")}
+        at = rated(given, channel)
+        swing = value["D"] ** 2 * value["beta"] / (value["V"] * value["J"])
+        decay = value["Km"] * value["beta"] / value["V"] + value["B"] / value["J"]
+        start = value["J"] * at["flow"] / (value["D"] ** 2 * at["pressure"])
+        full = at["flow"] / at["displacement"] / RPM
+        return cls(full, swing, decay, start, at["flow"] < value["Km"] * at["pressure"])
+
+    @property
+    def ramp(self) -> float:
+        """The time from standstill to the full command, s, in which the lines stay between tank and supply: three times what the
+        supply takes, and a swing; what an engineer sets at the amplifier. One second at most, as a manoeuvre has to end."""
+        calm = self.leaks or self.decay > 2.0 * math.sqrt(self.swing)
+        return (
+            0.0
+            if self.leaks
+            else min(1.0, max(3.0 * self.start, 0.0 if calm else 2.0 * math.pi / math.sqrt(self.swing)))
+        )
+
+
 class _SpeedLoop:
-    """The PI controllers of the rig: the paper's V1 gains, scaled to the flow gain of the given model."""
+    """The PI controllers of the rig: the paper's V1 gains, scaled to the flow gain of the given model. A rig of another size has
+    gains of its own: its integral acts so slowly that neither a motor that swings on its lines nor the spool is excited, and the
+    command that the model needs for the set-point goes ahead."""
+
+    #: Command ahead of the loop in V by rpm of the set-point and for its sign, (2,) each.
+    ahead: tuple[Array, Array] | None = None
 
     def __init__(self, given: PlantModel, period: float) -> None:
         self.gain = 0.016 * 476106e-6 / np.array(given.pair("Kq"))  # V/rpm
-        self.reset_time, self.period = 0.156, period  # s
+        self.reset_time, self.period = np.full(2, 0.156), period  # s
         self.limit = np.array(given.pair("u_rated"))
+        if not _of_the_papers_size(given):
+            self.ahead = np.zeros(2), np.zeros(2)
+        for c in (0, 1) if self.ahead is not None else ():
+            motor, at = _Motor.of(given, c), rated(given, c)
+            spool = math.sqrt(given.value("k", c) / given.value("m", c))  # rad/s
+            volts = at["command"] / motor.full  # V/rpm
+            self.ahead[0][c] = volts
+            self.ahead[1][c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
+            integral = min(4.0, max(0.1, 0.25 * motor.decay), 0.1 * spool)  # 1/s
+            self.reset_time[c] = min(max(motor.decay / motor.swing, 0.02), 0.5)
+            self.gain[c] = volts * integral * self.reset_time[c]
         self.sum = np.zeros(2)  # rpm s
 
     def __call__(self, setpoint: Array, speed: Array) -> Array:
         error = setpoint - speed
         wanted = self.gain * (error + self.sum / self.reset_time)
+        if self.ahead is not None:
+            wanted = wanted + self.ahead[0] * setpoint + self.ahead[1] * np.sign(setpoint)
         given = np.clip(wanted, -self.limit, self.limit)
         self.sum = np.where(
             (wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period
@@ -139,9 +220,13 @@ class Recorder:
     def log(self, run: str, seeds: np.random.SeedSequence) -> dict[str, Array]:
         """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
         plan_seed, noise_seed = seeds.spawn(2)
-        return self.played(
-            plans(run, plan_seed, self.period, max(1, round(self.duration / self.period))), noise_seed
-        )
+        steps, scales = max(1, round(self.duration / self.period)), scales_of(self.given)
+        found = [p.scaled(scales.speed, scales.torque) for p in plans(run, plan_seed, self.period, steps)]
+        if not _of_the_papers_size(self.given):
+            motors = [_Motor.of(self.given, c) for c in (0, 1)]
+            step, full = self.period / max(1e-9, *(m.ramp for m in motors)), min(m.full for m in motors)
+            found = [p.ramped(step, step * full) for p in found]
+        return self.played(found, noise_seed)
 
     @property
     def period(self) -> float:
@@ -155,25 +240,26 @@ class Recorder:
         steps = len(channels[0].value)
         closed = np.column_stack([p.closed for p in channels])
         value = np.column_stack([p.value for p in channels])
-        load: Array = np.column_stack([p.load for p in channels]).round(3)
+        of = columns_of(scales_of(self.given))
+        load: Array = np.column_stack([p.load for p in channels]).round(of["load"].decimals)
         if "load" not in self.record:  # a load that nobody logs would be a second hidden effect
             load = np.zeros_like(load)
         # Every signal has a stream of its own: recording more of them changes none.
         streams = dict(zip(SENSORS, noise_seed.spawn(len(SENSORS)), strict=True))
         errors = {
-            n: self.noise * SENSORS[n].noise * np.random.default_rng(s).standard_normal((steps * samples, 2))
+            n: self.noise * of[n].noise * np.random.default_rng(s).standard_normal((steps * samples, 2))
             for n, s in streams.items()
         }
         command, shown = self._drive(value, closed, load, errors["speed"][::samples, :], period, samples)
         rows: dict[str, Array] = {
             "command": np.repeat(command, samples, axis=0),
             "load": np.repeat(load, samples, axis=0),
-            **{n: self._read(n, shown[n], errors[n]) for n in SENSORS},
+            **{n: self._read(of[n], shown[n], errors[n]) for n in SENSORS},
         }
         columns = {"time_s": np.arange(steps * samples) / self.rate}
         if "setpoint" in self.record:
             setpoint = np.where(closed, value, 0.0)[:, 0]
-            columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), 1)
+            columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), of["setpoint"].decimals)
         asked = {"command", "speed", *(n for name in self.record for n in RECORDABLE[name])}
         kept = {n: column.unit for n, column in COLUMNS.items() if n in rows and n in asked}
         return columns | {f"{n}_{c + 1}_{unit}": rows[n][:, c] for c in (0, 1) for n, unit in kept.items()}
@@ -192,7 +278,7 @@ class Recorder:
     ) -> tuple[Array, dict[str, Array]]:  # fmt: skip
         """Command (steps, 2) in V and what each sensor sees, (steps * samples, 2) in SI without noise."""
         steps = len(value)
-        loop, rated = _SpeedLoop(self.given, period), np.array(self.given.pair("u_rated"))
+        loop, most = _SpeedLoop(self.given, period), np.array(self.given.pair("u_rated"))
         rig: ReferenceRig | _CatalogueRig
         if self.forms == CATALOGUE_FORMS:
             rig = _CatalogueRig(self.true)
@@ -206,8 +292,8 @@ class Recorder:
             speed = now["measured_speed"] / RPM + speed_error[n]
             by_loop = loop(np.where(closed[n], value[n], 0.0), speed)
             loop.sum = np.where(closed[n], loop.sum, 0.0)
-            volts = np.round(np.where(closed[n], by_loop, value[n] * rated), 3)
-            command[n] = np.clip(volts, -rated, rated)
+            volts = np.round(np.where(closed[n], by_loop, value[n] * most), 3)
+            command[n] = np.clip(volts, -most, most)
             part = _with_lines(rig.advance(command[n], load[n], period, samples), level)
             for name, sensor in SENSORS.items():
                 shown[name][n * samples] = now[sensor.signal]
@@ -215,19 +301,18 @@ class Recorder:
             now = {signal: values[-1] for signal, values in part.items()}
         return command, shown
 
-    def _read(self, name: str, shown: Array, error: Array) -> Array:
-        sensor = SENSORS[name]
+    def _read(self, sensor: Column, shown: Array, error: Array) -> Array:
         raw = shown / sensor.size + error
         return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
 
 
-def log_text(columns: Mapping[str, Array]) -> str:
-    """A rig log as CSV text."""
+def log_text(columns: Mapping[str, Array], kinds: Mapping[str, Column] = COLUMNS) -> str:
+    """A rig log as CSV text; `kinds` of columns say their decimals."""
     # "pressure_a" of "pressure_a_1_bar", "time" of "time_s"
     names = [re.sub(r"(_[12])?_[A-Za-z]+$", "", column) for column in columns]
     buffer = io.StringIO()
     np.savetxt(
-        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{COLUMNS[name].decimals}f" for name in names],
+        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{kinds[name].decimals}f" for name in names],
         delimiter=",", header=",".join(columns), comments="",
     )  # fmt: skip
     return buffer.getvalue()

@@ -69,7 +69,10 @@ class Scenario:
     def on(self, scales: Scales) -> Scenario:
         """The scenario of the paper's rig on one of these scales, with 600 rpm there rounded to two digits here."""
         speed = float(f"{600.0 * scales.speed:.2g}") / 600.0
-        return self if speed == scales.torque == 1.0 else replace(self, speed=speed, torque=scales.torque)
+        if speed == scales.torque == 1.0:
+            return self
+        summary = f"{self.summary}; speeds times {speed:.3g}, loads times {scales.torque:.3g}"
+        return replace(self, summary=summary, speed=speed, torque=scales.torque)
 
     def steps(self, period: float) -> int:
         """Number of control periods in an episode. InputError if not even one fits."""
@@ -229,12 +232,13 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
 
 
 def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = PAPER) -> Scenario:
-    """A scenario from its name, on a rig of these scales, from step tables, or a scenario (returned as it is).
+    """A scenario from its name, on a rig of these scales, from step tables, or a scenario: one of `SCENARIOS` too is
+    scaled, others are returned as they are.
 
     InputError, in one line that names the key, for anything that is not right.
     """
     if isinstance(source, Scenario):
-        return source
+        return source.on(scales) if SCENARIOS.get(source.name) is source else source
     if isinstance(source, str):
         if source not in SCENARIOS:
             raise InputError(f"unknown scenario {shown(source)}: {suggestion(source, SCENARIOS)}")

@@ -11,6 +11,7 @@ import pytest
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.plant import PAPER, PARAMETERS, PlantModel, Scales, load_model, scales_of
+from hydro_env.tasks import SCENARIOS, load_scenario
 
 #: Preferred numbers; the power of the coil is that of force and travel.
 SIZE = Scales(
@@ -52,7 +53,19 @@ def test_the_same_actions_have_the_same_observations_and_rewards(rig: PlantModel
         assert other == pytest.approx(reward, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["pid_tuned", "cross_coupled", "compensated", "gru"])
+def test_scenarios_go_with_the_size_and_tables_of_ones_own_do_not() -> None:
+    table = {"duration": 1.0, "setpoint_rpm": [[0.0, 400.0]], "load_Nm": [[0.0, 0.5, 0.5]]}
+    for source, speed, torque in (
+        ("sine", SIZE.speed, SIZE.torque),
+        (SCENARIOS["sine"], SIZE.speed, SIZE.torque),
+        (table, 1.0, 1.0),
+    ):
+        found = load_scenario(source, SIZE)
+        assert (found.speed, found.torque) == (speed, torque)
+        assert load_scenario(source, PAPER).summary in found.summary
+
+
+@pytest.mark.parametrize("name", ["pid_tuned", "cross_coupled", "compensated", "gru", "oracle"])
 def test_controllers_that_ship_do_the_same_there(name: str, rig: PlantModel) -> None:
     peaks = []
     for plant, size in (("paper_dead_zone", PAPER), (rig, SIZE)):

@@ -26,7 +26,7 @@ from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
 from hydro_env.diagnosis.stages.screening import Screening, hidden_by_calibration, screen
 from hydro_env.diagnosis.stages.values import Interval, widened_by_form
-from hydro_env.plant import PARAMETERS, load_model
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of
 
@@ -84,10 +84,10 @@ def test_the_interval_of_an_effect_holds_what_the_form_of_its_law_leaves_open(
 ) -> None:
     effect, name = parameter.split(".")
     exact, before = (Interval(v, v, v, "") for v in (value, bare))
-    found = widened_by_form(effect, name, exact, before)
+    found = widened_by_form(CATALOGUE[effect], name, exact, before)
     assert (found.low, found.high) == pytest.approx((low, high), abs=0.01 * abs(value))
     wide = replace(exact, low=0.9 * value, high=1.1 * value)
-    found = widened_by_form(effect, name, wide, wide)
+    found = widened_by_form(CATALOGUE[effect], name, wide, wide)
     assert found.low <= wide.low and found.high >= wide.high
 
 

@@ -20,13 +20,13 @@ from hydro_env.cli import main
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
-from hydro_env.envs.observation import OBSERVATION, SCALES
+from hydro_env.envs.observation import OBSERVATION, SCALES, scales_on
 from hydro_env.export.c_code import c_code
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import c_files, program_of, st_file
 from hydro_env.export.symbols import TraceError
 from hydro_env.export.tracing import trace
-from hydro_env.plant import Plant
+from hydro_env.plant import Plant, load_model, scales_of
 from hydro_env.training.export import write_policy
 from tests.export.structured_text import Block
 
@@ -322,6 +322,28 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
     for act in (InC(Path("c").resolve(), "gro_e_1", "-O2"), InText(Path("st"), "gro_e_1")):
         assert np.array_equal(episode(act, "setpoint_steps", "paper_dead_zone", "train"), expected)
+
+
+@needs_compiler
+def test_gains_are_exported_for_the_rig_that_they_were_tuned_on(tmp_path: Path) -> None:
+    """Its rated command and the scales of its observations are those that are built in."""
+    model = load_model("paper_dead_zone").with_values({"u_rated": 10.0, "R": 13.7, "D": 3.4e-6, "J": 0.02})
+    model.to_yaml(tmp_path / "rig.yaml", source="this test")
+    gains, plant = {"Kp": 0.1, "Ti": 0.1, "Td": 0.01, "slew": 300.0}, str(tmp_path / "rig.yaml")
+    write_gains(tmp_path / "mine.json", GainsFile(controller="pid", gains=gains, tuning={"plant": plant}))
+    c_files(str(tmp_path / "mine.json"), tmp_path, PERIOD, None, single=False)
+    controller, exported = make_controller(tmp_path / "mine.json"), InC(tmp_path, "mine", "-O2")
+    controller.drives(model)
+    controller.reset(1, PERIOD)
+    scales = scales_on(scales_of(model))
+    assert scales[0] < 0.5 * SCALES[0]
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        return exported.of_measured(observation[0].astype(float) * scales)
+
+    expected = episode(controller.act, "setpoint_steps", plant, "own")
+    assert np.abs(expected).max() > 0.1
+    assert np.abs(episode(act, "setpoint_steps", plant, "own") - expected).max() < 1e-12
 
 
 @needs_compiler

@@ -7,6 +7,7 @@ import json
 import pickle
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from hydro_env.errors import InputError
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.fmu.build import export_fmu
 from hydro_env.fmu_plant import load_fmu
-from hydro_env.plant import load_model
+from hydro_env.plant import PAPER, load_model, scales_of
 
 pytest.importorskip("fmpy")
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -113,6 +114,21 @@ def test_the_rated_command(units: list[Path], rig: Path, tmp_path: Path) -> None
         load_fmu(theirs, mapping, trust=True)
 
 
+def test_how_large_it_is(units: list[Path], rig: Path, tmp_path: Path) -> None:
+    """By the values of a rig of our own, by the model that a mapping names, or else as the paper's."""
+    ours = load_model("rig")
+    large = ours.with_values({"D": 6.0 * ours.value("D", 0), "Kq": 12.0 * ours.value("Kq", 0)})
+    large.to_yaml(tmp_path / "large.yaml", source="this test")
+    theirs = renamed(units[0], tmp_path / "theirs.fmu", b'"channel_1.', b'"motor.'), tmp_path / "mapping.yaml"
+    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one", "speed_1")
+    for model, expected in (("", PAPER), ("model: large.yaml", scales_of(large))):
+        theirs[1].write_text(plain.replace("start: {channel_2.Kq: 0.3}", model))
+        found = load_fmu(theirs[0], theirs[1], trust=True)
+        assert replace(scales_of(found), command=1.0) == replace(expected, command=1.0)
+    assert scales_of(load_fmu(rig, trust=True)) == scales_of(load_model("rig"))
+    assert scales_of(large).speed > 1.5
+
+
 def test_what_an_fmu_cannot_do_is_refused(units: list[Path]) -> None:
     model = load_fmu(units[0], trust=True)
     rigs = model.make_plant(2)
@@ -163,6 +179,7 @@ def test_the_command(units: list[Path], tmp_path: Path) -> None:
         (MAPPING.replace("rated: 73", "rated: much"), "rated is 'much'"),
         (MAPPING.replace("sign:", "sing:"), "unknown key 'sing'"),
         (MAPPING.replace("start: {channel_2.Kq", "start: {channel_3.Kq"), "has no variable 'channel_3.Kq'"),
+        ("model: other.yaml\n" + MAPPING, "other.yaml"),
         ("- 1\n", "expected a table"),
     ],
 )

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_env.errors import InputError, InputWarning
+from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, parameter_of, preset_names
 
 
@@ -66,7 +66,7 @@ def test_any_model_survives_a_round_trip(
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"L": 0.0005}, "L: 0.0005 H is out of range; inductance of the coil is 0.001 to 2 H"),
+        ({"L": 5e-5}, "L: 5e-05 H is out of range; inductance of the coil is 0.0001 to 100 H"),
         ({"Fs": 3.0}, "Fs: 3 N is out of range; .* is 0 to 2 N"),
         ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction; 0.001 N or more of either"),
         (
@@ -146,7 +146,7 @@ def test_a_missing_file_or_preset_is_named() -> None:
         ("effects: {dead_zone: {both: {overlap_positive: 70}}}", ["70 m", "0 to 0.00045 m"]),
         ("effects: {dead_zone: {both: {overlap_positive: -1.0e-5}}}", ["-1e-05 m", "0 to 0.00045 m"]),
         ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-07 to 0.3 m3/rad"]),
-        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "7.5 m2/s"]),
+        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "20 m2/s"]),
         ("both: {u_rated: 0.001}", ["0.1 to 1e+06 V"]),
     ],
 )
@@ -159,12 +159,25 @@ def test_values_that_no_component_has_are_refused(given: str, words: list[str], 
         assert word in str(caught.value)
 
 
-def test_an_unusual_size_warns_unless_its_source_is_given(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("{J: 28.0}", r"the supply takes \d+ s to bring the motor up to speed \(by J\)"),
+        ("{k: 1.7e+4, m: 5.0e-2, D: 8.47e-4}", r"the open valve turns the motor at 4\.6\d rpm \(by D, k\)"),
+        ("{k: 4.0e+5, s0: 1.0e+6, m: 3.0e-2, alpha: 470.0}", ""),
+    ],
+)
+def test_a_rig_that_moves_unusually_warns_unless_sources_say_why(
+    given: str, told: str, tmp_path: Path
+) -> None:
     path = tmp_path / "mine.yaml"
-    path.write_text(GOOD + "both: {R: 24.0, D: 5.0e-6}\nsources: {D: data sheet}\n")
-    with pytest.warns(InputWarning, match="R 24 .usual 80 to 125 Ohm") as warned:
+    path.write_text(GOOD + f"both: {given}\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         load_model(path)
-    assert len(warned) == 1 and "D 5e-06" not in str(warned[0].message)
+        path.write_text(path.read_text() + "sources: {J: weighed, D: data sheet, k: data sheet}\n")
+        load_model(path)
+    assert len(caught) == bool(told) and all(re.search(told, str(w.message)) for w in caught)
 
 
 def test_neutral_values_presets_and_left_out_terms_pass_without_a_word(tmp_path: Path) -> None:

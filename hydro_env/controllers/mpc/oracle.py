@@ -20,7 +20,7 @@ from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.linear_channel import linear_rates
-from hydro_env.controllers.mpc.shooting import END, HORIZON, MIN_DAMPING, SAMPLES, Task, cost, improve
+from hydro_env.controllers.mpc.shooting import CORNER, END, HORIZON, MIN_DAMPING, SAMPLES, Task, cost, improve
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -45,7 +45,10 @@ TRAVEL, MARGIN = 0.95, 0.96
 
 
 class Oracle(Controller):
-    """See the module's text. `prepare` and `foresee` have to be called before the episode."""
+    """See the module's text. `prepare` and `foresee` have to be called before the episode.
+
+    Gains and thresholds are those for the paper's rig; on another one they are scaled with its speeds and travels.
+    """
 
     needs = "everything"
     GAINS = (
@@ -70,7 +73,13 @@ class Oracle(Controller):
         twin, n = self._twin, len(measured.speed)
         get = twin.get
         self._rated = get("u_rated")
-        self._weights = [np.broadcast_to(np.ravel(self.gains[g.name]), (n,)).copy() for g in self.GAINS]
+        speed, travel = self.rig.speed, self.rig.travel
+        sizes = {"difference": 1.0, "smooth": speed**2, "stops": (speed / travel) ** 2}
+        values = [
+            *(size * np.ravel(self.gains[gain]) for gain, size in sizes.items()),
+            np.array([speed * CORNER]),
+        ]
+        self._weights = [np.broadcast_to(each, (n,)).copy() for each in values]
         self._plan = np.zeros((n, HORIZON, 2))
         self._sent = np.zeros((n, 2))
         self._row = 0
@@ -78,7 +87,7 @@ class Oracle(Controller):
         self._step = self.period / SAMPLES
         self._travel = _travel(twin, self.period)
         self._motor = _motor(twin, self._step)
-        self._copies = _copies(twin, np.arange(n))
+        self._copies = _copies(twin, np.arange(n), speed * TOLERANCE)
         stroke = get("x_max")
         self._margin = MARGIN * stroke
         self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
@@ -87,7 +96,7 @@ class Oracle(Controller):
         assert self._twin is not None and self._load is not None
         change = measured.setpoint - self._setpoint
         self._setpoint = measured.setpoint
-        stepped = np.abs(change) > STEP
+        stepped = np.abs(change) > self.rig.speed * STEP
         slope = np.where(stepped, 0.0, change)
         ahead = measured.setpoint[:, None] + slope[:, None] * np.arange(HORIZON + 1)
         # The last load stays, as the samples after the last period do.
@@ -108,18 +117,18 @@ class Oracle(Controller):
         task = Task(self._sent, ahead, self._most, self._margin, self._travel, self._motor, *self._weights)
         start = self._plan
         found, lowest = start.copy(), np.empty(len(start))
-        speed = np.empty((HORIZON, len(start), 2))
+        speed, near = np.empty((HORIZON, len(start), 2)), self.rig.speed * APART
         for count in np.unique(turns):
             rows = np.flatnonzero(turns == count)
             found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, task, load)
         for attempt in RETRIES:
-            poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART)
+            poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > near)
             if not len(poor):
                 break
             other, reached, instead = self._descend(poor, attempt, start, task, load)
             # Motors that stay at rest are in step too but get nowhere.
             late, later = (np.abs(e[-1] - ahead[poor, -1:]).sum(axis=1) for e in (speed[:, poor], instead))
-            better = (reached < lowest[poor]) & (later < late + APART)
+            better = (reached < lowest[poor]) & (later < late + near)
             rows = poor[better]
             found[rows], lowest[rows], speed[:, rows] = other[better], reached[better], instead[:, better]
         self._plan = found
@@ -138,7 +147,8 @@ class Oracle(Controller):
         copies = self._copies if every else self._copies.select(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
         best, lowest, motion = plan.copy(), np.full(n, np.inf), np.empty((3, END + 1, n, 2))
-        damping = np.full(n, MIN_DAMPING)
+        least = self.rig.speed**2 * MIN_DAMPING
+        damping = np.full(n, least)
         for turn in range(turns):
             copies.take_state(self._twin, None if every and len(going) == n else rows[going])
             volts = np.repeat(plan[going] * self._rated[rows[going], None], SAMPLES, axis=1)
@@ -149,7 +159,7 @@ class Oracle(Controller):
             # The cost is not convex at standstill: at first a plan need not be better than the one before.
             better = (reached < lowest[going]) | (turn < FREE * turns)
             damping[going] *= np.where(better, 0.25, 8.0)
-            np.maximum(damping, MIN_DAMPING, out=damping)
+            np.maximum(damping, least, out=damping)
             kept = going[better]
             best[kept], lowest[kept], motion[:, :, kept] = plan[kept], reached[better], seen[:, :, better]
             if turn == turns - 1:
@@ -165,9 +175,9 @@ class Oracle(Controller):
         return best, lowest, motion[0][SAMPLES::SAMPLES].copy()
 
 
-def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
+def _copies(plant: Plant, rows: NDArray[np.int64], tolerance: float) -> Plant:
     """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
-    tolerance = max(TOLERANCE, plant.tolerance)
+    tolerance = max(tolerance, plant.tolerance)
     copies = Plant(plant.model, len(rows), effects=plant.effects, tolerance=tolerance, dtype=np.float32)
     for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):
         copies.set(name, plant.get(name)[rows])

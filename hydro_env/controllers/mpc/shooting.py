@@ -26,14 +26,14 @@ from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
-__all__ = ["END", "HORIZON", "MIN_DAMPING", "SAMPLES", "Task", "cost", "improve", "minimise_in_box"]
+__all__ = ["CORNER", "END", "HORIZON", "MIN_DAMPING", "SAMPLES", "Task", "cost", "improve", "minimise_in_box"]
 
 HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 END = HORIZON * SAMPLES
 """Last sample of a plan."""
 CORNER = 2.0
-"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
+"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, on a rig with the paper's speeds."""
 EVERY, BETWEEN = 2, 200.0
 """Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand."""
 MIN_DAMPING = 1.0
@@ -55,6 +55,7 @@ class Task:
     margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, END + 1): a spool's travel in m after a
     command of 1 over the first period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the
     mean travel. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
+    corner (N,): `CORNER` of the rig.
     """
 
     sent: Floats
@@ -66,6 +67,7 @@ class Task:
     difference: Floats
     smooth: Floats
     stops: Floats
+    corner: Floats
 
     def of(self, rows: NDArray[np.int64]) -> Task:
         """That of some rigs."""
@@ -78,7 +80,8 @@ def cost(plan: Floats, motion: Floats, task: Task) -> Floats:
     beyond, tracking, apart, weight = _errors(motion, task)
     moves = np.diff(plan, axis=1, prepend=task.sent[:, None])
     total = 0.5e6 * task.stops * _sums(beyond**2)
-    total += CORNER**2 * _sums(np.sqrt(1.0 + (tracking / CORNER) ** 2) - 1.0)
+    corner = task.corner[:, None, None]
+    total += task.corner**2 * _sums(np.sqrt(1.0 + (tracking / corner) ** 2) - 1.0)
     total += 0.5 * _sums(weight * apart**2) + 0.5 * task.smooth * _sums(moves**2)
     return total
 
@@ -93,7 +96,7 @@ def improve(plan: Floats, motion: Floats, damping: Floats, task: Task) -> Floats
     square = np.zeros((n, 2, HORIZON, 2, HORIZON))
     slope = np.zeros((n, 2, HORIZON))
     stops = 1e6 * task.stops[:, None, None] * (beyond != 0.0)
-    robust = 1.0 / np.sqrt(1.0 + (tracking / CORNER) ** 2)
+    robust = 1.0 / np.sqrt(1.0 + (tracking / task.corner[:, None, None]) ** 2)
     for errors, weights, changes in (
         (beyond, stops, travel[:, :, 1:]),
         (tracking, robust, turned[:, :, _INSTANTS]),

@@ -164,8 +164,9 @@ def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]
     """Every start of every candidate; without a label those that have no further effect."""
     found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
     for name in names:
-        for values in effect_starts(effect_in(rig, name, channel), math.inf, whole=True):
-            one = present.with_effect(name, values, channel)
+        effect = effect_in(rig, name, channel)
+        for values in effect_starts(effect, math.inf, whole=True):
+            one = present.with_effect(effect, values, channel)
             found += [one, one.from_given()]
     return found
 

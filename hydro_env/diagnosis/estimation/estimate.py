@@ -8,7 +8,7 @@ from math import nan
 
 import numpy as np
 
-from ...plant import CATALOGUE
+from ...plant import CATALOGUE, Effect
 from ..models.base import Request
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
@@ -108,10 +108,12 @@ class Estimate:
         twin.together = tuple(SCALED_TOGETHER)
         return twin
 
-    def with_effect(self, effect: str, start: dict[str, float], on: int | None = None) -> Estimate:
-        """An effect more, at the values `start` {own name: value}; `on` a channel, where the estimate is the rig's."""
-        alone = on if self.channel is None else None
-        added = [replace(u, channel=alone) for u in effect_unknowns(CATALOGUE[effect], start)]
+    def with_effect(self, of: Effect | str, start: dict[str, float], on: int | None = None) -> Estimate:
+        """An effect more, one of the paper's rig by its name, at the values `start` {own name: value}; `on` a channel, where the
+        estimate is the rig's."""
+        described = CATALOGUE[of] if isinstance(of, str) else of
+        effect, alone = described.name, on if self.channel is None else None
+        added = [replace(u, channel=alone) for u in effect_unknowns(described, start)]
         q = np.concatenate([self.q, np.zeros(len(added))])
         channel = on if self.channel is None else self.channel
         if channel is not None:
@@ -121,7 +123,7 @@ class Estimate:
                     q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
         return Estimate(self.channel, [*self.unknowns, *added], q, effect, follow=self.follow)
 
-    def extended(self, effect: str, start: dict[str, float], on: int | None = None) -> Estimate:
+    def extended(self, effect: Effect | str, start: dict[str, float], on: int | None = None) -> Estimate:
         """An effect more, with the derivatives taken along; those of the new parameters are zero."""
         twin = self.with_effect(effect, start, on)
         for c, known in self.columns.items():

@@ -61,7 +61,8 @@ def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -
 class Unknown:
     """One number to be estimated: a base parameter of the plant, or one of an `effect`.
 
-    `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for one that both channels share.
+    `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for one that both channels share;
+    `typical` the usual size of a parameter that carries its effect's.
     """
 
     parameter: str
@@ -74,6 +75,7 @@ class Unknown:
     prior: bool
     channel: int | None = None
     effect: str = ""
+    typical: float = math.nan
 
     @cached_property
     def name(self) -> str:
@@ -109,14 +111,14 @@ def limited_by_effects() -> set[str]:
     return {name for effect in CATALOGUE.values() for name in effect.adds_to}
 
 
-def _plausible(parameter: Parameter, value: float, size: float) -> tuple[float, float]:
-    """The plausible range of a base parameter, given as `value`, on a rig whose motor is `size` times that of the table.
+def _plausible(parameter: Parameter, value: float) -> tuple[float, float]:
+    """The plausible range of a base parameter that is given as `value`.
 
-    `PARAMETERS` has the ranges of one machine, `Parameter.plausible` those of one of another size. A given value outside is
-    plausible all the same (a flywheel, another coil): the range then lies about it, as wide as in the table. So no range rests
-    on a value of a machine of another size, and 0 is plausible where it is given or the table has it.
+    A given value outside of the usual range is plausible all the same (a flywheel, another coil): the range then lies about
+    it, as wide as in the table. So no range rests on a value of a machine of another size, and 0 is plausible where it is given
+    or the table has it.
     """
-    low, high = parameter.plausible(size)
+    low, high = parameter.low, parameter.high
     if value > 0.0 and not low <= value <= high:
         wide = math.sqrt(high / low) if low > 0.0 else parameter.high / parameter.nominal
         low, high = (value / wide if low > 0.0 else 0.0), value * wide
@@ -124,10 +126,10 @@ def _plausible(parameter: Parameter, value: float, size: float) -> tuple[float, 
     return min(max(low, least), value), max(min(high, most), value)
 
 
-def base_unknown(parameter: Parameter, value: float, limited: bool = False, size: float = 1.0) -> Unknown:
-    """A base parameter about the value `value` of the model as given; `size` as in `_plausible`, `limited` for one that an effect
-    adds to."""
-    low, high = _plausible(parameter, value, size)
+def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> Unknown:
+    """A base parameter, with the ranges that are usual on its rig, about the value `value` of the model as given; `limited` for
+    one that an effect adds to."""
+    low, high = _plausible(parameter, value)
     log = parameter.log and value > 0.0
     if log:
         low = max(low, value / 20.0)
@@ -213,10 +215,11 @@ def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
     low, high = min(p.low, start), max(p.high, start)
     if p.low > 0.0 and (p.log or p.role == "limit"):
         scale = 0.5 if shape else 0.25
-        return Unknown(p.name, p.unit, start, low, high, scale, True, shape, effect=effect)
+        return Unknown(p.name, p.unit, start, low, high, scale, True, shape, effect=effect, typical=p.typical)
     order = p.role == "order"
     scale = 0.1 if order else 0.15 * (p.high - p.low) if shape else abs(p.typical - p.nominal)
-    return Unknown(p.name, p.unit, start, low, high, scale, False, shape and not order, effect=effect)
+    prior = shape and not order
+    return Unknown(p.name, p.unit, start, low, high, scale, False, prior, effect=effect, typical=p.typical)
 
 
 def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:

@@ -21,7 +21,7 @@ from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
 __all__ = [
-    "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Joined", "Segment", "Segments",
+    "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "SI", "UNITS", "Joined", "Segment", "Segments",
     "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
 ]  # fmt: skip
 
@@ -38,6 +38,8 @@ UNITS = {
     "flow": ("lpm", LPM),
     "mean_line_pressure": ("bar", BAR),
 }
+#: The SI units of these.
+SI = {"rpm": "rad/s", "A": "A", "bar": "Pa", "mm": "m", "lpm": "m3/s"}
 #: Signals of which only changes are compared: the level of the mean line pressure is that of the supply and of two sensors.
 LEVEL_FREE = ("mean_line_pressure",)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import InputError, nearest
 from ...measured import Finding
-from ...plant import CATALOGUE, PARAMETERS, parameter_of
+from ...plant import CATALOGUE, parameter_of, scales_of
 from ..estimation import (
     Estimate,
     Fit,
@@ -75,7 +75,7 @@ def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
 
 def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:
     """The parameters that calibration may adjust, about their values in the model as given; of these the `chosen` ones."""
-    limited, size = limited_by_effects(), rig.given("D", channel) / PARAMETERS["D"].nominal
+    limited, scales = limited_by_effects(), scales_of(rig.model, channel)
     found = []
     for name in rig.base(channel):
         if chosen is not None and name not in chosen:
@@ -84,8 +84,8 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
         if effect:
             unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
         else:
-            parameter = rig.own[name] if name in rig.own else parameter_of(name)
-            unknown = base_unknown(parameter, value, name in limited, size)
+            parameter = rig.own[name] if name in rig.own else scales.parameter(parameter_of(name))
+            unknown = base_unknown(parameter, value, name in limited)
         if chosen is not None and (bounds := chosen[name]):
             unknown = replace(unknown, low=bounds[0], high=bounds[1])
         of_rig = effect and CATALOGUE[effect].scope == "rig"

@@ -137,9 +137,9 @@ def neutral_of(unknown: Unknown) -> float:
 def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
     """Whether the estimate of an effect is its neutral value; `channel` says whose, where the estimate is the rig's."""
     for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-        if u.effect == effect and (channel is None or u.channel in (None, channel)):
-            usual, neutral = CATALOGUE[effect].parameter(u.parameter).typical, neutral_of(u)
-            near = NEUTRAL_SHARE * abs((neutral if usual is None else usual) - neutral)
-            if near and abs(u.value(float(q)) - neutral) >= near:
+        own = u.effect == effect and (channel is None or u.channel in (None, channel))
+        if own and CATALOGUE[effect].parameter(u.parameter).carries_size:
+            neutral = neutral_of(u)
+            if abs(u.value(float(q)) - neutral) >= NEUTRAL_SHARE * abs(u.typical - neutral):
                 return False
     return True

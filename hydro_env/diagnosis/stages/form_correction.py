@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...plant import CATALOGUE
+from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, far_from_noise, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
-from ..models.base import given_effects
+from ..models.base import effect_in, given_effects
 from .candidates import Attempt, Selection, penalty_per_parameter
 
 __all__ = [
@@ -87,14 +87,19 @@ def is_correction(effect: str) -> bool:
     return CATALOGUE[effect].family == FAMILY
 
 
-def with_correction(estimate: Estimate, effect: str, correction: str, channel: int | None = None) -> Estimate:
-    """The estimate with a correction of one of its effects more; `channel` is the effect's, where the estimate is the rig's.
+def with_correction(
+    estimate: Estimate, effect: str, of: Effect | str, channel: int | None = None
+) -> Estimate:
+    """The estimate with a correction `of` one of its effects more, one of the paper's rig by its name; `channel` is the effect's,
+    where the estimate is the rig's.
 
     Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
     """
     alone = channel if estimate.channel is None else None
+    described = CATALOGUE[of] if isinstance(of, str) else of
+    correction = described.name
     repeated, added = follows(correction, effect), []
-    for p in CATALOGUE[correction].parameters:
+    for p in described.parameters:
         if f"{correction}.{p.name}" in repeated:
             continue
         # The prior is as wide as a correction usually is: ridge regression, in other words.
@@ -158,7 +163,7 @@ def best_attempt(
         for correction, repeated in CORRECTIONS.get(effect, {}).items():
             if not fit.rig.has(correction, channel) and correction not in without:
                 own = len(CATALOGUE[correction].parameters) - len(repeated)
-                more = with_correction(estimate, effect, correction, channel)
+                more = with_correction(estimate, effect, effect_in(fit.rig, correction, channel), channel)
                 tries.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
     first = estimate.channel is not None and not any(map(is_correction, estimate.effects()))
     again = {t.estimate: t.estimate.from_given().in_all_directions() for t in tries if first}

@@ -10,6 +10,7 @@ from typing import Any
 from ...plant import CATALOGUE
 from ..estimation import Estimate, Fit, probability_of_gain
 from ..logs import Estimates
+from ..models.base import effect_in
 from .candidates import Accepted, Selection
 from .screening import Screening, alike
 from .validation import AT_NOISE
@@ -87,8 +88,8 @@ def name_effects(selection: Selection, screening: Sequence[Screening], final: Es
         channels = () if one.channel is None else (one.channel,)
         probability = _probability(fit, one, competitors, selection.estimates[c])
         bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
-        row = row_of(fit.rig, c)
-        values = {name: widened_by_form(one.effect, name, v, bare[name], row) for name, v in values.items()}
+        row, effect = row_of(fit.rig, c), effect_in(fit.rig, one.effect, c)
+        values = {name: widened_by_form(effect, name, v, bare[name], row) for name, v in values.items()}
         found.append(NamedEffect(one.effect, channels, round(probability, 3), competitors, values))
     return _merged(found)
 

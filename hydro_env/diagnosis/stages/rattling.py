@@ -85,10 +85,11 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
 
 def _looks(fit: Fit, bare: Estimate, c: int, points: Vector) -> list[Estimate]:
     """The estimate with a backlash at each of `points` (n, 4), logarithms of its parameters, simulated."""
-    parameters = effect_in(fit.rig, EFFECT, c).parameters
-    found = []
+    effect, found = effect_in(fit.rig, EFFECT, c), []
     for point in np.exp(points):
-        start = {p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(parameters, point, strict=True)}
-        found.append(bare.with_effect(EFFECT, start, c))
+        start = {
+            p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(effect.parameters, point, strict=True)
+        }
+        found.append(bare.with_effect(effect, start, c))
     fit.evaluate(found)
     return found

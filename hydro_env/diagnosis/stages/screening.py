@@ -109,7 +109,11 @@ def screen(
                 if channel in settled:
                     starts = [start for start in starts if _is_medium(effect, start)] or starts
                 tries[name, channel] = [*starts, *(start for start in known if start not in starts)]
-    begun = [beside[c].with_effect(name, start, c) for (name, c), own in tries.items() for start in own]
+    begun = [
+        beside[c].with_effect(effect_in(fit.rig, name, c), start, c)
+        for (name, c), own in tries.items()
+        for start in own
+    ]
     results = iter(fit.rig.predict([p.request() for p in begun]))
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {

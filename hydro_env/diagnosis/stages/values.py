@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...plant import CATALOGUE, PlantModel, parameter_of
+from ...plant import CATALOGUE, Effect, PlantModel, parameter_of
 from ..estimation import Estimate
 from ..logs import Estimates
-from ..models.base import RigModel
+from ..models.base import RigModel, effect_in
 from .form_correction import is_correction
 
 __all__ = [
@@ -81,13 +81,13 @@ def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, In
     }
 
 
-def widened_by_form(effect: str, name: str, found: Interval, bare: Interval, row: float = 0.0) -> Interval:
+def widened_by_form(effect: Effect, name: str, found: Interval, bare: Interval, row: float = 0.0) -> Interval:
     """The value of an effect's parameter with the interval widened by what the law's form leaves open, see `SIZE_BY_FORM`.
 
     `bare` is its value without corrections of form; `row` the time from row to row of the logs, s. A time is known to half of
     that at best: a filter that is calculated once a row, y += (1 - exp(-row / T)) (x - y), is late by T - row / 2.
     """
-    parameter = CATALOGUE[effect].parameter(name)
+    parameter = effect.parameter(name)
     share = {"size": SIZE_BY_FORM, "limit": SIZE_BY_FORM}.get(parameter.role, SHAPE_BY_FORM)
     away = abs(found.value - (parameter.neutral if parameter.role == "size" else 0.0))
     # An angle or a number of strokes has no law whose form could differ.
@@ -116,7 +116,8 @@ def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter
         for j, u in enumerate(estimate.unknowns):
             if u.channel in (None, c) and not u.effect:
                 value, (effect, _, own) = _interval(estimate, j), u.name.rpartition(".")
-                value = widened_by_form(effect, own, value, value, row_of(rig, c)) if effect else value
+                if effect:
+                    value = widened_by_form(effect_in(rig, effect, c), own, value, value, row_of(rig, c))
                 found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, u.usual))
     return found
 
@@ -127,7 +128,7 @@ def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]
     sizes: dict[tuple[str, int], list[tuple[bool, bool]]] = {}
     for p in known_parameters(rig, estimates):
         effect, _, own = p.symbol.rpartition(".")
-        if effect and (parameter := CATALOGUE[effect].parameter(own)).carries_size:
+        if effect and (parameter := effect_in(rig, effect, p.channel).parameter(own)).carries_size:
             neutral = min(parameter.neutral, max(parameter.high, p.nominal))
             holds = p.estimate.low <= neutral <= p.estimate.high
             sizes.setdefault((effect, p.channel), []).append((holds, p.moved))

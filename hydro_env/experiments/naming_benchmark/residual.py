@@ -26,13 +26,13 @@ from ...diagnosis.estimation import Estimate, Fit, noise_floor
 from ...diagnosis.input.checks import read_logs
 from ...diagnosis.input.parts import filled
 from ...diagnosis.logs import Logs
-from ...diagnosis.models.base import Request
+from ...diagnosis.models.base import Request, effect_in
 from ...diagnosis.models.dynamic_rig import DynamicRig
 from ...diagnosis.settings import Settings
 from ...diagnosis.stages import calibration, consistency
 from ...diagnosis.stages.validation import prove
 from ...diagnosis.stages.values import estimated_model
-from ...plant import BUILT_IN, CATALOGUE, PlantModel, load_model
+from ...plant import BUILT_IN, PlantModel, load_model
 from ...reading import read_json
 
 __all__ = ["Equation", "Start", "begin", "equations"]
@@ -125,7 +125,7 @@ def equations(start: Start, channel: int) -> list[Equation]:
 
 def _requests(start: Start, channel: int, name: str) -> list[tuple[tuple[str, str], Request]]:
     """Simulations with an effect at its typical size, one for each parameter that carries it."""
-    effect = CATALOGUE[name]
+    effect = effect_in(start.rig, name, channel)
     shapes = {f"{name}.{p.name}": p.typical for p in effect.parameters if not p.carries_size}
     neutral = {f"{name}.{p.name}": p.nominal for p in effect.parameters if p.carries_size}
     own = {c: estimate.request().values for c, estimate in start.estimates.items()}

@@ -15,8 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import InputError
+from ...plant.scales import Scales
 
-__all__ = ["CONSTANTS", "MIDDLE", "OF_BOTH_LINES", "PLAYS", "STOPS", "UNITS", "Constants", "checked", "draw"]
+__all__ = [
+    "CONSTANTS",
+    "MIDDLE",
+    "OF_BOTH_LINES",
+    "PLAYS",
+    "STOPS",
+    "UNITS",
+    "Constants",
+    "checked",
+    "draw",
+    "scaled",
+]
 
 #: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
 Constants = Mapping[str, float | tuple[float, ...]]
@@ -141,6 +153,11 @@ def draw(rng: np.random.Generator) -> dict[str, float | tuple[float, ...]]:
     assert isinstance(reach, float)
     found |= _stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))
     return found | {c.name: c.at(rng.random()) for c in CONSTANTS[count:]}
+
+
+def scaled(constants: Constants, scales: Scales) -> dict[str, float | tuple[float, ...]]:
+    """The same for a rig of another size: radii, pressures, flows and speeds over which a form turns grow with it."""
+    return {n: v if isinstance(v, tuple) else scales.factor(UNITS[n]) * v for n, v in constants.items()}
 
 
 _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
