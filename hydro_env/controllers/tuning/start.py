@@ -11,7 +11,6 @@ from math import isfinite, log
 
 import numpy as np
 
-
 from hydro_env.controllers.registry import CONTROLLERS, law_of
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.tuning.linearised import tune_channel
