@@ -25,13 +25,8 @@ def tune(
         help="train, or own: the plant's own pair of valves. auto: train, but own for a plant file that sets what train draws."
     )] = "auto",
     scenario: Annotated[str, Option(help="Scenarios, separated by commas.")] = "setpoint_steps,random_steps",
-    cases: Annotated[
-        int | None, number("Pairs of valves for each candidate. Default: 12; of the plant's own pair, 6 episodes.", PAIRS)
-    ] = None,
-    episodes: Annotated[
-        int | None,
-        number("Budget: number of simulated episodes. Default: 480 candidates.", Limits(1, 10_000_000, whole=True)),
-    ] = None,
+    cases: Annotated[int, number("Pairs of valves for each candidate.", PAIRS)] = 12,
+    episodes: Annotated[int, number("Budget: number of simulated episodes.", Limits(1, 10_000_000, whole=True))] = 11520,
     weight: Annotated[
         float, number("Weight of the synchronisation error against the tracking error.", Limits(0.0, 1000.0))
     ] = 2.0,
@@ -68,7 +63,7 @@ def tune(
         from hydro_env.controllers.tuning.tune import run, summary
 
         task = Task(controller, weight, plant, mismatch, scenarios=tuple(scenario.split(",")))
-        print(summary(run(folder, Search(task, seed, control_period, cases or 0, episodes or 0), name)))
+        print(summary(run(folder, Search(task, seed, control_period, cases, episodes), name)))
 
 
 def benchmark(

@@ -47,6 +47,6 @@ def _linear(plant: str) -> tuple[float, float]:
     """Kp in V/rpm as on the paper's rig, and Ti in s; geometric means of both channels."""
     model = load_model(plant)
     found = [tune_channel(model, channel) for channel in (0, 1)]
-    kp, ti = (float(np.exp(np.mean(np.log([each[key] for each in found])))) for key in ("Kp", "Ti"))
+    kp, ti = ((found[0][key] * found[1][key]) ** 0.5 for key in ("Kp", "Ti"))
     scales = scales_of(model)
     return kp * scales.factor("rpm") / scales.factor("V"), ti
