@@ -73,7 +73,10 @@ def tuned(
     }
     missing = [job for job in jobs_of.values() if not job.path.exists()]
     if missing and progress:
-        print(f"Tuning for {plant} first: {', '.join(job.name for job in missing)}", flush=True)
+        print(
+            f"Tuning for {plant} first, gains in {folder}: {', '.join(job.name for job in missing)}",
+            flush=True,
+        )
     results = run_tasks(missing, _search, engine=engine, jobs=jobs, progress=progress, unit="controller")
     for job, result in zip(missing, results, strict=True):
         if isinstance(result, Failure):
