@@ -123,7 +123,7 @@ def _episode(path: Path, out: Path) -> str:
     while not done:
         seen, reward, ended, late, _ = env.step(np.ones(2, np.float32))
         done, largest = ended or late, max(largest, float(np.abs(seen).max()))
-        if not (np.isfinite(seen).all() and np.isfinite(reward)):
+        if not np.isfinite([*np.ravel(seen), float(reward)]).all():
             return "an observation or reward is not finite"
     return "" if largest > 0.05 else f"the largest observation is {largest:.2g}"
 
