@@ -86,7 +86,9 @@ def drawn(seed: int) -> dict[str, Any]:
         }
         effects["dead_zone"] = sides
     if rng.random() < 0.5:
-        effects["entrained_air"] = {"both": {"fraction": factor(1e-3, 0.02)}}
+        effects["entrained_air"] = {
+            "both": {"fraction": factor(3e-4, 2e-3)}
+        }  # 1 %, at half the supply pressure
     if rng.random() < 0.5:
         effects["line_loss"] = {"both": {"coefficient": between(0.0, 0.05) * supply / flow**2}}
     data = {
