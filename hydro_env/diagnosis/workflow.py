@@ -137,9 +137,9 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     models = do(form_correction.run, calibrated.given, selected, first)
     models = do(settling.run, logs, models)
     models = do(uncertainty.run, logs, models)
-    unknown = list(uncertainty.undetermined(logs.rig, models.shown))
+    unknown = list(uncertainty.undetermined(logs.rig))
     proofs = do(validation.run, logs, models)
-    found = do(verdict.confirm, selected, first, models, proofs, not unknown)
+    found = do(verdict.confirm, selected, first, models, proofs)
     effects = do(naming.run, selected, screened, found)
     return State(
         logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
