@@ -119,10 +119,7 @@ def correct(
             break
         if number and far_from_noise(fit, estimate):
             break  # with the form put right that matters most, what is left is no matter of form
-        if estimate in known:
-            best = known[estimate]
-        else:
-            best = best_attempt(fit, estimate, named, [k.correction for k in kept])
+        best = known.get(estimate) or best_attempt(fit, estimate, named, [k.correction for k in kept])
         if best is None:
             break
         better = replace(best.estimate)
@@ -177,8 +174,6 @@ def correct_all(
     every: list[Correction] = []
     for one in distinct(estimates):
         names = [(effect, channel) for effect, channel in named if one.channel in (None, channel)]
-        if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
-            continue
         better, kept = correct(fit, one, names, known)
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept

@@ -1,5 +1,5 @@
-"""Uncertainty: intervals of all estimates, by a block bootstrap on their derivatives (`estimation.uncertainty`), and whether the
-logs determine the known parameters at all."""
+"""Uncertainty: estimates at their minimum, with intervals by a block bootstrap on their derivatives (`estimation.uncertainty`),
+and whether the logs determine the known parameters at all."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..estimation import Estimate, intervals_of
+from ..estimation import Estimate, intervals_of, refine
 from ..logs import Logs
 from ..models.base import RigModel
 from .form_correction import Models
 
-__all__ = ["run", "undetermined"]
+__all__ = ["run", "settle", "undetermined"]
 
 #: A command that moves by less than this share of the rated one, a few steps of a converter, is constant.
 CONSTANT = 0.01
+
+
+def settle(logs: Logs, models: Models) -> Models:
+    """Refines the estimates that are reported (`estimation.final_refinement`), before they are proved and given intervals."""
+    return models.changed(lambda estimates: refine(logs.fit, logs.fit.on(logs.fine), estimates))
 
 
 def run(logs: Logs, models: Models) -> Models:
