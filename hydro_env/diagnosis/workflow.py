@@ -139,7 +139,7 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     unknown = list(uncertainty.undetermined(logs.rig))
     proofs = do(validation.run, logs, models)
     found = do(verdict.confirm, selected, first, models, proofs)
-    effects = do(naming.run, selected, screened, found)
+    effects = do(naming.run, selected, found)
     return State(
         logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
         found.elsewhere, found.doubts,
