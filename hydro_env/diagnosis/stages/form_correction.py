@@ -16,7 +16,7 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, far_from_noise, grow_horizon, solve
+from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
 from ..models.base import given_effects
 from .candidates import Attempt, Selection, penalty_per_parameter
@@ -117,8 +117,6 @@ def correct(
     for number in range(MAX_CORRECTIONS):
         if not fit.rig.has_hidden_states or fit.at_noise(estimate):
             break
-        if number and far_from_noise(fit, estimate):
-            break  # with the form put right that matters most, what is left is no matter of form
         best = known.get(estimate) or best_attempt(fit, estimate, named, [k.correction for k in kept])
         if best is None:
             break
