@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from math import inf, isinf
 
 from hydro_env.lab.rig import effects_offered
-from hydro_env.plant import CATALOGUE, Parameter
+from hydro_env.plant import CATALOGUE, Parameter, Scales
 from hydro_env.plant.catalogue import PORTS, Effect
 from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM, with_unit
 
@@ -94,12 +94,10 @@ class Slider:
         return with_unit(value / size, unit, 3) if p.high < largest else with_unit(value, p.unit, 3)
 
 
-def sliders(effect: Effect, rated_V: tuple[float, float]) -> list[Slider]:
-    """The sliders of an effect: one for each parameter and channel, or one for both where it is the rig's.
-
-    Bounds in volts are those of valves with these rated commands."""
+def sliders(effect: Effect, scales: tuple[Scales, Scales]) -> list[Slider]:
+    """The sliders of an effect on a rig of these scales: one for each parameter and channel, or one for both of the rig's."""
     channels: tuple[int | None, ...] = (None,) if effect.scope == "rig" else (0, 1)
-    own = {channel: effect.at_rated(rated_V[channel or 0]) for channel in channels}
+    own = {channel: scales[channel or 0].effect(effect) for channel in channels}
     return [
         Slider(effect.name, _possible(own[channel].parameter(p.name)), channel)
         for p in effect.parameters

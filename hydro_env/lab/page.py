@@ -247,12 +247,12 @@ class RigPage:
             self._fill(holder, effects)
 
     def _fill(self, holder: Any, effects: list[Effect]) -> None:
-        rated = self._worker.seen.session.reach.rated_V
+        scales = self._worker.seen.session.reach.scales
         with holder:
             for effect in effects:
                 ui.html(f"<h3>{escape(effect.title)}</h3>", sanitize=False, tag="div")
                 ui.label(effect.summary).classes("lab-soft")
-                for name, pair in groupby(sliders(effect, rated), key=lambda slider: slider.parameter.name):
+                for name, pair in groupby(sliders(effect, scales), key=lambda slider: slider.parameter.name):
                     title = effect.parameter(name).title
                     ui.label(title)
                     with ui.element("div").classes("lab-pair"):

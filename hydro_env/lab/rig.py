@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_env.envs.observation import FRAME, noise_levels
+from hydro_env.envs.observation import FRAME, noise_levels, scales_on
 from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
-from hydro_env.plant import CATALOGUE, Plant, PlantModel, load_model
+from hydro_env.plant import CATALOGUE, Plant, PlantModel, Scales, load_model, scales_of
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
@@ -45,6 +45,8 @@ class Reach:
     """Without load, of the weaker channel."""
     torque_Nm: float
     """At standstill, of the weaker channel; of a motor without leakage that at the supply pressure, or at 350 bar."""
+    scales: tuple[Scales, Scales]
+    """Of both channels, beside the paper's rig."""
 
 
 def reach_of(model: PlantModel) -> Reach:
@@ -59,7 +61,7 @@ def reach_of(model: PlantModel) -> Reach:
         speeds.append(flow / (D + Km * B / D) / RPM)
         supply = min(model.value("pressure_dependent_flow.supply_pressure", c), 350.0 * BAR)
         torques.append(D * min(flow / Km if Km > 0.0 else inf, supply))
-    return Reach(model.pair("u_rated"), min(speeds), min(torques))
+    return Reach(model.pair("u_rated"), min(speeds), min(torques), (scales_of(model, 0), scales_of(model, 1)))
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ class LiveRig:
         self.reach = reach_of(self.model)
         self._offered = effects_offered()
         self.plant = Plant(self.model, 1, effects=self._offered)
-        self._levels = noise_levels(noise)
+        self.scales = scales_of(self.model)
+        self._levels = noise_levels(noise, self.scales)
         self._stream = np.random.default_rng(seed)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._drawn: dict[str, tuple[float, float]] = {}
@@ -169,9 +172,8 @@ class LiveRig:
         row["stuck_from"] = np.where(sticks[0], 0, NEVER)
         observation, true = np.zeros((1, FRAME), np.float32), np.zeros((1, TRUE))
         reward, ended = np.zeros(1), np.zeros((2, 1), np.bool_)
-        observe(
-            _ROW, self._state, self.plant.memory, self._where, np.zeros(4), observation, true, reward, *ended
-        )
+        sensing = np.append(scales_on(self.scales), np.zeros(5))
+        observe(_ROW, self._state, self.plant.memory, self._where, sensing, observation, true, reward, *ended)
         return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
 
     def hold(

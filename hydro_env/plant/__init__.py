@@ -6,6 +6,7 @@ rhs          the one right-hand side, which calls the laws of the effects by the
 vector_math  the functions that laws may use
 kernel       compiles right-hand side and effects into a vectorised step
 model        a rig as data: model files, and the `presets` that ship
+scales       how large a rig is beside the paper's, and what follows for what is usual on it
 friction     dry friction of a spool that is left
 plant        many rigs side by side
 sensors      noise of the sensors
@@ -18,8 +19,9 @@ from .model import PlantModel, parameter_of
 from .model_files import load_model, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate
+from .scales import PAPER, Scales, scales_of
 
 __all__ = [
-    "BUILT_IN", "CATALOGUE", "PARAMETERS", "SIGNALS", "Effect", "Parameter", "Plant", "PlantModel", "State",
-    "load_effects", "load_model", "parameter_of", "preset_names", "register", "simulate", "unregister",
+    "BUILT_IN", "CATALOGUE", "PAPER", "PARAMETERS", "SIGNALS", "Effect", "Parameter", "Plant", "PlantModel", "Scales",
+    "State", "load_effects", "load_model", "parameter_of", "preset_names", "register", "scales_of", "simulate", "unregister",
 ]  # fmt: skip

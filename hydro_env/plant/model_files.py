@@ -42,7 +42,7 @@ from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
-from .validation import out_of_range
+from .validation import wrong_values
 
 __all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
 
@@ -108,6 +108,11 @@ class _Draft:
     values: dict[str, list[float]]
     declared: list[str] = field(default_factory=list)
 
+    def value(self, name: str, channel: int) -> float:
+        """What it has so far, as `PlantModel.value`."""
+        pair = self.values.get(name)
+        return parameter_of(name).nominal if pair is None else pair[channel]
+
     def put(self, name: str, side: str, value: float) -> None:
         """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
         for channel in _SIDES[side]:
@@ -144,10 +149,14 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
         draft.put_valve(_built_on(valve, f"{where}: {side}.valve", above), side)
     draft.declared += file.effects
     try:
-        for name, side, place, value in file.values():
-            if wrong := out_of_range(value, parameter_of(name)):
-                raise InputError(f"{place}: {wrong}")
+        for name, side, _, value in file.values():
             draft.put(name, side, value)
+        places = {
+            (name, channel): place for name, side, place, _ in file.values() for channel in _SIDES[side]
+        }
+        for name, channel, wrong in wrong_values(draft, dict.fromkeys(name for name, *_ in file.values())):
+            if (name, channel) in places:
+                raise InputError(f"{places[name, channel]}: {wrong}")
         for name in file.sources:
             if name not in CATALOGUE:
                 parameter_of(name)

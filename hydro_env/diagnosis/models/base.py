@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect, Parameter, PlantModel
+from ...plant import CATALOGUE, Effect, Parameter, PlantModel, scales_of
 from ...plant.catalogue.form_corrections import follows
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
@@ -256,8 +256,8 @@ def given_repeats(rig: RigModel, channel: int) -> dict[str, str | float]:
 
 
 def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:
-    """An effect of the catalogue with the sizes that are usual in this rig's valve; `channel` as in `Request`."""
-    return CATALOGUE[name].at_rated(rig.model.value("u_rated", channel or 0))
+    """An effect of the catalogue with the sizes that are usual on this rig; `channel` as in `Request`."""
+    return scales_of(rig.model, channel).effect(CATALOGUE[name])
 
 
 def measured_segments(

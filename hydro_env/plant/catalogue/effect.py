@@ -23,17 +23,17 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isinf
 from types import FunctionType
 from typing import Any
 
+from ...errors import InputError, suggestion
 from ..parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "register",
-    "separating_experiment", "unregister",
+    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "parameter_of",
+    "register", "separating_experiment", "unregister",
 ]  # fmt: skip
 
 #: Ports in the order in which the signal passes them.
@@ -148,21 +148,6 @@ class Effect:
                 return parameter
         raise KeyError(name)
 
-    def at_rated(self, voltage: float) -> Effect:
-        """The effect in a valve with this rated command, V: what is usual in volts is so as a share of the rated command.
-
-        As it is where the command has no limit (inf)."""
-        share = voltage / PARAMETERS["u_rated"].nominal
-        if isinf(share):
-            return self
-        own = tuple(
-            replace(p, low=share * p.low, high=share * p.high, typical=share * p.typical)
-            if p.unit == "V"
-            else p
-            for p in self.parameters
-        )
-        return replace(self, parameters=own)
-
     def is_neutral(self, values: Mapping[str, float]) -> bool:
         """Whether the effect vanishes at these parameter values (missing ones count as neutral).
 
@@ -241,3 +226,18 @@ def unregister(name: str) -> None:
 def separating_experiment(first: str, second: str) -> str:
     """The experiment under which two effects, by name, differ; "" where the catalogue knows none."""
     return CATALOGUE[first].separated_by.get(second, "") or CATALOGUE[second].separated_by.get(first, "")
+
+
+def parameter_of(name: str) -> Parameter:
+    """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
+    if "." in name:
+        effect, own = name.split(".", 1)
+        if effect not in CATALOGUE:
+            raise InputError(f"unknown effect {effect!r}: {suggestion(effect, CATALOGUE)}")
+        known = {p.name: p for p in CATALOGUE[effect].parameters}
+        if own not in known:
+            raise InputError(f"effect {effect!r} has no parameter {own!r}: {suggestion(own, known)}")
+        return known[own]
+    if name not in PARAMETERS:
+        raise InputError(f"unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
+    return PARAMETERS[name]

@@ -231,7 +231,7 @@ ANTI_CAVITATION = Effect(
         Parameter("conductance", "m3/(s Pa)", 0.0, low=0.0, high=3e-9, typical=1e-9, scaling=MOTOR_SIZE,
             note="slope of the open check valves",
             source="assumed: 6 l/min at 1 bar; valves of sizes 6 to 10 pass 2 to 18 l/min"),
-        Parameter("opening_pressure", "Pa", -0.3e5, low=-1e5, high=5e5,
+        Parameter("opening_pressure", "Pa", -0.3e5, low=-1e5, high=5e5, absolute=True,
             note="pressure of a line at which its valve opens; above the tank's: below 0 by the spring, above 0 where the "
             "return line is boosted",
             source="cracking pressures of 0.05 to 1 bar are usual; boosted return lines have 2 to 5 bar"),

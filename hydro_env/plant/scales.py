@@ -1,0 +1,163 @@
+"""How large a rig is beside the paper's, and what follows for everything that is usual on such a rig.
+
+Bounds and typical sizes of effects, speeds and loads of scenarios, scales of observations and rewards are written down for the
+paper's rig. On another one they are what similarity makes of them: a length at the spool grows with the spool's rated travel,
+a torque with displacement times supply pressure, and so on by the unit (Ivantysyn and Ivantysynova 2001, similarity of
+displacement machines; Merritt 1967, ch. 5, valves by rated flow). All scales are 1 on the paper's rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import inf, log10
+from typing import TYPE_CHECKING, Protocol
+
+from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
+
+if TYPE_CHECKING:
+    from .catalogue import Effect
+
+__all__ = ["PAPER", "Rig", "Scales", "scales_of"]
+
+#: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
+_DIMENSIONS: Mapping[str, Mapping[str, float]] = {
+    # command, coil and spool
+    "V": {"command": 1},
+    "A": {"current": 1},
+    "N": {"force": 1},
+    "m": {"travel": 1},
+    "m/s": {"travel": 1},
+    "N/A": {"force": 1, "current": -1},
+    "Ohm": {"command": 1, "current": -1},
+    "H": {"command": 1, "current": -1},
+    "N/m": {"force": 1, "travel": -1},
+    "N s/m": {"force": 1, "travel": -1},
+    "kg": {"force": 1, "travel": -1},
+    "m2/s": {"flow": 1, "travel": -1},
+    # line and motor
+    "Pa": {"pressure": 1},
+    "m3": {"displacement": 1},
+    "m3/rad": {"displacement": 1},
+    "m2": {"displacement": 2 / 3},
+    "m5": {"displacement": 5 / 3},
+    "m3/s": {"flow": 1},
+    "m3/(s Pa)": {"flow": 1, "pressure": -1},
+    "m3/(s Pa2)": {"flow": 1, "pressure": -2},
+    "m3/(rad Pa)": {"displacement": 1, "pressure": -1},
+    "Pa s2/m6": {"pressure": 1, "flow": -2},
+    # shaft
+    "rpm": {"flow": 1, "displacement": -1},
+    "rad/s": {"flow": 1, "displacement": -1},
+    "kg m2": {"inertia": 1},
+    "N m": {"displacement": 1, "pressure": 1},
+    "N m/rad": {"displacement": 1, "pressure": 1},
+    "N m s/rad": {"displacement": 2, "pressure": 1, "flow": -1},
+    "N m s2/rad2": {"displacement": 3, "pressure": 1, "flow": -2},
+    "m3 s/rad2": {"displacement": 2, "flow": -1},
+}
+#: Preferred numbers of a decade.
+_R10 = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)
+#: Fields of `Scales` that each valve has of its own.
+_OF_VALVE = ("command", "current", "force", "travel")
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Quantities of a channel as multiples of the paper's: rated command (V), current, force and travel of the spool at it, flow
+    through the fully open valve, displacement and inertia of the motor, supply pressure."""
+
+    command: float = 1.0
+    current: float = 1.0
+    force: float = 1.0
+    travel: float = 1.0
+    flow: float = 1.0
+    displacement: float = 1.0
+    inertia: float = 1.0
+    pressure: float = 1.0
+
+    @property
+    def speed(self) -> float:
+        """Scale of speeds of the shaft."""
+        return self.factor("rad/s")
+
+    @property
+    def torque(self) -> float:
+        """Scale of torques on the shaft."""
+        return self.factor("N m")
+
+    def factor(self, unit: str) -> float:
+        """Scale of a quantity with this unit."""
+        factor = 1.0
+        for name, power in _DIMENSIONS.get(unit, {}).items():
+            factor *= getattr(self, name) ** power
+        return factor
+
+    def parameter(self, p: Parameter) -> Parameter:
+        """A parameter of an effect with the bounds and sizes that are usual on this rig; `p` itself where they are the same, as
+        those of a base parameter."""
+        factor = 1.0 if p.absolute or p.name in PARAMETERS else self.factor(p.unit)
+        if factor == 1.0:
+            return p
+        low, nominal, high, typical = (factor * x for x in (p.low, p.nominal, p.high, p.typical))
+        least, most = p.possible
+        return replace(
+            p, low=low, nominal=nominal, high=high, typical=typical, starts=tuple(factor * x for x in p.starts),
+            possible=(min(least, factor * least), max(most, factor * most)),
+        )  # fmt: skip
+
+    def effect(self, effect: Effect) -> Effect:
+        """An effect with the bounds and sizes that are usual on this rig; `effect` itself where they are the same."""
+        own = tuple(map(self.parameter, effect.parameters))
+        same = all(a is b for a, b in zip(own, effect.parameters, strict=True))
+        return effect if same else replace(effect, parameters=own)
+
+
+#: Those of the paper's rig.
+PAPER = Scales()
+
+
+class Rig(Protocol):
+    """What has values, as a model has."""
+
+    def value(self, name: str, channel: int, /) -> float: ...
+
+
+def scales_of(model: Rig, channel: int | None = None) -> Scales:
+    """The scales of a model: those of the valve of channel 0 or 1, of the larger one for None; flow, motor and supply are the
+    rig's, for which the larger channel counts.
+
+    All but that of the command are preferred numbers (ISO 3, R10): they say how large a machine is, not how two of a kind differ,
+    and a model that has been calibrated has the scales that it had before.
+    """
+    paper = _rated(lambda name: PARAMETERS[name].nominal if name in PARAMETERS else inf)
+    both = [_rated(lambda name, c=c: model.value(name, c)) for c in (0, 1)]  # type: ignore[misc]
+    found = {}
+    for name, one in paper.items():
+        pair = [each[name] / one for each in both]
+        found[name] = max(pair) if channel is None or name not in _OF_VALVE else pair[channel]
+    command = found.pop("command")
+    return Scales(command, **{name: _preferred(ratio) for name, ratio in found.items()})
+
+
+def _preferred(ratio: float) -> float:
+    """The nearest preferred number."""
+    decade, place = divmod(round(10.0 * log10(ratio)), 10)
+    return float(f"{_R10[place]}e{decade}")
+
+
+def _rated(value: Callable[[str], float]) -> dict[str, float]:
+    """What a channel has at its rated command, by the names of `Scales`."""
+    command, current = value("u_rated"), value("u_rated") / value("R")
+    travel = min(value("alpha") * current / value("k"), value("x_max"))
+    supply = value("pressure_dependent_flow.supply_pressure")
+    return {
+        "command": command,
+        "current": current,
+        "force": value("k") * travel,
+        "travel": travel,
+        "flow": value("Kq") * travel,
+        "displacement": value("D"),
+        "inertia": value("J"),
+        "pressure": supply if 0.0 < supply < inf else SUPPLY_PRESSURE.nominal,
+    }
