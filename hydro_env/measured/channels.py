@@ -88,6 +88,7 @@ def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         elif len(finite) and finite.any():
             yield from _size(log, signal, channel, source, float(np.abs(finite).max()))
     yield from _setpoint(log, mapping)
+    yield from _supply(log, mapping)
 
 
 def _size(log: RigLog, signal: str, channel: int | None, source: Source, peak: float) -> Iterator[Finding]:
@@ -140,6 +141,22 @@ def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
                 yield _finding(
                     "unit", message, _IN_MAPPING, "speed", channel, source.speed.column, True, **right
                 )
+
+
+def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    if log.supply is None or log.pressure is None:
+        return
+    for channel in log.channels:
+        source = mapping.channels[channel]
+        if source is None or source.pressure is None or not log.has("pressure", channel):
+            continue
+        pressure, supply = _clean(np.abs(log.pressure[:, channel]), log.supply)
+        if not len(pressure):
+            continue
+        ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
+        if ratio > 3.0:
+            message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
+            yield _finding("unit", message, _IN_MAPPING, "pressure", channel, source.pressure.column)
 
 
 def check_lines(log: RigLog, mapping: Mapping) -> Iterator[Finding]:

@@ -21,11 +21,14 @@ from . import wording as words
 __all__ = [
     "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
     "headline", "hidden_by_calibration", "log_names", "places", "ranking", "remaining",
-    "sentence", "short_names", "shown_locations", "unit_of", "windows_text",
+    "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
+#: A placebo that leaves less than this many times what the names leave makes the proof weak, where calibration left this many
+#: times the noise. Words only: no verdict depends on them.
+PLACEBO_NEAR, WORTH_PROVING = 1.15, 1.2
 _COLUMNS = (("noise", 9), ("before", 9), ("calibrated", 11), ("after", 9), ("placebo", 9))
 
 
@@ -179,6 +182,19 @@ def remaining(state: State, n: NamedEffect) -> str:
         f"(noise {s.errors['noise']:.3g})"
         for s in speeds
     ])  # fmt: skip
+
+
+def weak_proof(state: State) -> str:
+    """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
+    entry = headline(state).errors
+    near = entry["placebo"] <= PLACEBO_NEAR * entry.get(NAMED, entry["after"])
+    if not state.effects or not near or entry["calibrated"] < WORTH_PROVING * entry["noise"]:
+        return ""
+    names = {words.title(name) for p in state.selection.placebo.values() for name in p.effects()}
+    return (
+        f"A placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the held-out logs: they are "
+        "weak evidence for the names."
+    )
 
 
 # --- where it is ----------------------------------------------------------------------------------------------------------

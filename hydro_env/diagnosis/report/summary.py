@@ -23,6 +23,7 @@ def summary(state: State, next_experiment: NextExperiment | None, warnings: Sequ
     guess = " (best guess, not proven)" if state.best_guess else ""
     places, tried, known = _places(state), _tried(state), _known(state)
     lines = [f"verdict: {state.verdict}{guess}", say.sentence(state)]
+    lines += [text for text in [say.weak_proof(state)] if text]
     lines += [*(_effect(state, n) for n in state.effects), *places]
     lines += [f"  form correction, not physics: {text}" for text in say.correction_texts(state)]
     lines += [*_errors(state), *tried, known, _hidden(state)]

@@ -209,8 +209,8 @@ def _tied_units(
 ) -> Iterator[Finding]:
     """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
 
-    Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly. Where no unit fits nothing
-    is said: a missing drag can be several times the friction that the model has.
+    Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly. Where no unit fits it is
+    a warning only: a missing drag can be several times the friction that the model has.
     """
     tries = []
     for signal, other in (("speed", "pressure"), ("pressure", "speed")):
@@ -223,6 +223,14 @@ def _tied_units(
     misfit, signal, unit = min(tries, default=(math.inf, "", ""))
     if misfit < _FITS and _misfit(plain) > misfit + 1.0:
         yield _unit(rig, signal, channel, likes[signal, channel][1], unit, True)
+        return
+    like = _alike(plain)
+    if like[0] > 0.9 and not 1.0 / _EFFECTS < like[1] < _EFFECTS:
+        message = (
+            f"the speed of channel {channel + 1} is {like[1]:.3g} times what its pressure and load give to the shaft: "
+            "a large loss that the model lacks, or is one of them in another unit?"
+        )
+        yield Finding("unit", message, _HINT, "speed", channel + 1)
 
 
 def _factors(rig: RigModel, signal: str, channel: int) -> dict[str, float]:
