@@ -75,6 +75,20 @@ def _as_recorded(columns: dict[str, np.ndarray]) -> None:
     pass
 
 
+def _off_centre(columns: dict[str, np.ndarray]) -> None:
+    speed = columns["speed_1_rpm"]
+    columns["speed_1_rpm"] = speed * (
+        1.0 + 0.01 * np.cos(2.0 * np.pi * np.cumsum(speed) * 0.002 / 60.0 + 1.0)
+    )
+
+
+def _clocks_apart(columns: dict[str, np.ndarray]) -> None:
+    time = columns["time_s"]
+    for name in columns:
+        if name.startswith(("speed", "pressure")):
+            columns[name] = np.interp(0.995 * time, time, columns[name])
+
+
 def _in_percent(columns: dict[str, np.ndarray]) -> None:
     for c in (1, 2):
         columns[f"command_{c}_V"] = columns[f"command_{c}_V"] * 100.0 / 50.0
@@ -84,6 +98,8 @@ def _in_percent(columns: dict[str, np.ndarray]) -> None:
     ("change", "codes", "words"),
     [
         (_as_recorded, [], ""),
+        (_off_centre, ["eccentric"], "speed of channel 1 rises and falls by 0."),
+        (_clocks_apart, ["clock_drift"], "fall behind the commands by 5"),
         (_in_percent, ["unit", "unit"], "`u_rated`): is it in percent?"),
     ],
 )

@@ -20,6 +20,7 @@ from ...units import BAR, UNITS
 from ..logs import Estimates, Given, Logs
 from ..models.base import LEVEL_FREE, RigModel
 from .calibration import fit_as_given
+from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
 __all__ = ["implausible", "run"]
@@ -85,7 +86,7 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     found += [*_command(rig, given)] or [*_beyond_rated(rig)]
     if rig.channels == (0, 1):
         found += _exchanged(rig, given)
-    return found
+    return [*found, *eccentric(rig), *runs_apart(rig, given)]
 
 
 def _compared(rig: RigModel, channel: int) -> list[str]:
