@@ -31,7 +31,7 @@ __all__ = [
 
 LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
-_MAX_PERIOD_S = 0.5  # slower than that no rig is recorded
+_MIN_PERIOD_S, _MAX_PERIOD_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 InvalidSamples = dict[tuple[str, int], np.ndarray]
@@ -84,19 +84,38 @@ def check_clock(
         told = f"rows come every {np.median(steps):.3g} s; a clock is read to {_RESOLUTION_S:g} s"
         raise _refused(table, column, f"{told}, so give its right unit in a mapping")
     rows = table.lines if keep is None else table.lines[keep]
-    findings.extend(_rate(steps, time, rows, column))
+    findings.extend(_rate(steps, time, rows, column, unit))
     return time, keep
 
 
-def _clock_unit(column: str, median: float) -> Iterator[Finding]:
-    """A clock whose rows come as seldom or as often as no recorder's."""
+def _clock_unit(column: str, time: np.ndarray, median: float, unit: str) -> Iterator[Finding]:
+    """A clock whose rows come as seldom or as often as no recorder's: everybody would choose its rate in another unit."""
+    period, hint = float(time[-1] - time[0]) / (len(time) - 1), "give the right unit in a mapping"
+    for longer in ("min", "h") if unit == "s" and not _is_chosen(period) else ():
+        other = to_si(period, longer)
+        if _MIN_PERIOD_S <= other < _MAX_PERIOD_S and _is_chosen(other):
+            rate = f"{period:.3g} s ({1.0 / period:,.0f} a second)"
+            message = f"rows come every {rate}: is {column!r} in {longer}, every {other:.3g} s?"
+            right, sure = {"time": {"unit": longer}}, period < _FASTEST_S
+            hint += f" (`time: {{column: ..., unit: {longer}}}`)"
+            yield Finding("time_unit", message, hint, column=column, sure=sure, fix=right)
+            return
     if median >= _MAX_PERIOD_S:
         message, right = f"rows come every {median:.6g} s: is {column!r} in ms?", {"time": {"unit": "ms"}}
-        hint = "time_s is in s; give the right unit in a mapping (`time: {column: ..., unit: ms}`)"
+        hint = f"time_s is in s; {hint} (`time: {{column: ..., unit: ms}}`)"
         yield Finding("time_unit", message, hint, column=column, sure=True, fix=right)
     elif median < _FASTEST_S:
         rate = f"{median:.3g} s ({1.0 / median:,.0f} a second)"
         yield Finding("time_unit", f"rows come every {rate}: is the unit of {column!r} right?", column=column)
+
+
+def _is_chosen(period: float) -> bool:
+    """Whether a period, s, or its rate is a number that recorders are set to: 1, 2, 2.5, 4, 5, 8 and tens of it, or 75 rows a
+    second doubled some times."""
+    doublings = np.log2(1.0 / (75.0 * period))
+    digits = period / 10.0 ** np.floor(np.log10(period))
+    usual = np.array([1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0])
+    return bool(abs(doublings - round(doublings)) < 0.005 or (np.abs(digits / usual - 1.0) < 0.003).any())
 
 
 def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
@@ -113,7 +132,7 @@ def _refused(table: Table, column: str, problem: str, row: int | None = None) ->
     return InputError(f"{table.path}: {where}column {column!r}: {problem}")
 
 
-def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) -> Iterator[Finding]:
+def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, unit: str) -> Iterator[Finding]:
     median = float(np.median(steps))
     gaps = np.flatnonzero(steps > 1.75 * median)
     jumps = np.flatnonzero(steps > jump_size(time))
@@ -139,7 +158,7 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
         message = f"rows are unevenly spaced: {range_of}"
         hint = "commands are held from their own times on, and the model is compared at the times of the rows"
         yield Finding("uneven_sampling", message, hint, column=column)
-    yield from _clock_unit(column, median)
+    yield from _clock_unit(column, time, median, unit)
 
 
 def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], InvalidSamples]:

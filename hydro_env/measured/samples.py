@@ -6,7 +6,7 @@ reads the log leaves them out of every comparison.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -32,6 +32,8 @@ _SPIKE_NOISE = 8.0  # ... by this many of the signal's median steps, again eight
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
+_MOVES = 0.05  # a speed moves if no cubic explains this share of its standard deviation within a window
+_SILENT_S = 3.0  # a pressure that is stuck in its noise is so for at least this long in all
 _LEFT_OUT = "left out of every comparison"
 
 
@@ -110,9 +112,11 @@ def _check(one: _Signal) -> None:
         message = f"{len(missing)} of {len(one.values)} cells, the first in row {one.rows[missing[0]]}"
         one.tell("missing_values", f"holds no value in {message}", _LEFT_OUT, missing[0])
     finite = one.values[np.isfinite(one.values)]
-    if not len(finite) or one.name == "load":  # a load may be computed and rest anywhere
+    if not len(finite):
         return
-    if np.ptp(finite) == 0.0:
+    if one.name == "load":
+        _load_at_limit(one)
+    elif np.ptp(finite) == 0.0:
         _constant(one, finite)
     elif one.name in MEASURED:
         if one.name != "speed" and one.swing > 0.0 and len(finite) > 500 and _is_white(finite):
@@ -126,6 +130,8 @@ def _check(one: _Signal) -> None:
         one.values[one.invalid] = np.nan  # a spike is no limit that a sensor runs into
         _stuck(one)
         _clipped(one)
+        if one.name == "pressure":
+            _silent(one)
         if one.name == "speed":
             one.values[one.invalid] = np.nan
             _disturbed(one)
@@ -278,16 +284,67 @@ def _stuck(one: _Signal) -> None:
         one.invalid |= np.repeat(stuck, lengths)
 
 
+def _silent(one: _Signal) -> None:
+    """Stretches of a pressure that are white noise while the shaft changes its speed to and fro: that takes torque."""
+    width = round(2.0 * _BURST_S / one.period)
+    if width < 50 or len(one.values) < 3 * width:
+        return
+    pieces = _windows(one.values, width)
+    speed = one.log.speed[:, one.channel]
+    turns = np.sqrt(np.mean(_fast(speed, width) ** 2, axis=1)) > _MOVES * np.nanstd(speed)
+    size = np.var(pieces, axis=1)
+    white = np.mean(np.diff(pieces, axis=1) ** 2, axis=1) > 1.6 * size
+    silent = white & (size < 0.01 * np.nanvar(one.values)) & turns
+    # Of exchanged pressures one may rest for a while: they are for the model to tell.
+    if np.sum(silent) * width * one.period < _SILENT_S:
+        return
+    bad = _rows_of(silent, width, len(one.values))
+    first = int(np.argmax(bad))
+    message = (
+        f"shows nothing but noise for {bad.sum() * one.period:.3g} s, first from {one.log.time_s[first]:.6g} s "
+        f"(row {one.rows[first]}), while the speed changes to and fro"
+    )
+    one.tell("stuck", message, f"a stuck sensor: {_LEFT_OUT}", first)
+    one.invalid |= bad
+
+
+def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
+    """The smallest and the largest value, if runs of at least `least` rows have it, and which runs these are."""
+    starts, lengths = one.runs
+    for limit, name in ((np.nanmin(one.values), "smallest"), (np.nanmax(one.values), "largest")):
+        long = (one.values[starts] == limit) & (lengths >= least)
+        if limit != 0.0 and long.any():
+            yield name, limit, long
+
+
+def _load_at_limit(one: _Signal) -> None:
+    """A measured load that repeats its largest or smallest value: noise never does. A computed load may rest anywhere."""
+    starts, lengths = one.runs
+    for name, limit, long in _at_limits(one, one.least_stuck):
+        elsewhere = one.values[np.repeat(lengths < one.least_stuck, lengths)]
+        steps = np.abs(np.diff(elsewhere))
+        # Noise within one step of the converter does repeat itself.
+        resolution = np.min(steps[steps > 0.0], initial=np.inf)
+        if not _is_noisy(elsewhere) or np.median(steps) < 3.0 * resolution:
+            continue
+        first = starts[long][0]
+        unit = "N" if one.log.kinds[one.channel] == "cylinder" else "N m"
+        message = (
+            f"stays at its {name} value, {limit:.4g} {unit}, for {lengths[long].sum() * one.period:.3g} s, "
+            f"first in row {one.rows[first]}, though it is noisy elsewhere: the sensor was at its limit"
+        )
+        hint = "the true load is larger there and is taken as logged; widen the sensor's range"
+        one.tell("clipped", message, hint, first)
+
+
 def _clipped(one: _Signal) -> None:
     """Runs at the largest or smallest value that the signal reached while it was moving."""
     values, (starts, lengths) = one.values, one.runs
-    least = max(5.0, 5.0 * float(np.median(lengths)))
-    for limit, name in ((np.nanmin(values), "smallest"), (np.nanmax(values), "largest")):
-        long = (values[starts] == limit) & (lengths >= least)
+    for name, limit, long in _at_limits(one, max(5.0, 5.0 * float(np.median(lengths)))):
         share = float(lengths[long].sum()) / len(values)
         # A limit is run into: the signal still moves when it gets there, unlike one that settles at a steady value.
         entries = starts[long][starts[long] > 0]
-        if limit == 0.0 or share < 0.002 or len(entries) == 0:
+        if share < 0.002 or len(entries) == 0:
             continue
         arrival = np.abs(values[entries] - values[entries - 1])
         if np.median(arrival) > 2e-4 * (np.nanmax(values) - np.nanmin(values)):

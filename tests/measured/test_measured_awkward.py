@@ -313,6 +313,22 @@ def test_a_column_without_a_name_is_no_error(tmp_path: Path) -> None:
 # --- the clock
 
 
+@pytest.mark.parametrize("scale", ["min", "h"])
+@pytest.mark.parametrize("period", [0.001, 0.01, 0.02])
+def test_a_clock_in_a_longer_unit_is_said(tmp_path: Path, scale: str, period: float) -> None:
+    time = np.arange(ROWS) * period / to_si(1.0, scale)
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([time, COMMAND, SPEED]), delimiter=",", header="time_s,command_1_V,speed_1_rpm",
+               comments="", fmt="%.10g")  # fmt: skip
+    if time[1] < 1e-6:
+        with pytest.raises(InputError, match="give its right unit in a mapping"):
+            read_log(path)
+        return
+    found = [finding for finding in read_log(path).findings if finding.code == "time_unit"]
+    assert found and f"is 'time_s' in {scale}" in found[0].message
+    assert found[0].sure is bool(time[1] < 4e-5)
+
+
 @pytest.mark.parametrize(
     "rate", [50.0, 100.0, 200.0, 600.0, 1000.0, 1200.0, 2000.0, 4800.0, 10_000.0, 19_200.0, 20_000.0]
 )

@@ -834,3 +834,18 @@ def test_a_load_that_does_not_act_is_named(
         columns["load_1_Nm"] = np.full(len(columns["time_s"]), stuck)
     line = _refused(_save(tmp_path / "fit.csv", fit), _save(tmp_path / "sealed.csv", sealed))
     assert "did not act" in line and "stuck or at its limit" in line and "--accept load" in line
+
+
+def test_a_measured_load_at_the_limit_of_its_sensor_is_said(
+    tmp_path: Path, recorded: tuple[Columns, Columns]
+) -> None:
+    load = 0.02 * _drive(9, 5000)[:, 0] + 0.01 * np.random.default_rng(1).normal(size=5000)
+    columns = _copy(recorded[0]) | {"load_1_Nm": load}
+    assert "its limit" not in _inspected(_save(tmp_path / "free.csv", columns))
+    columns["load_1_Nm"] = np.minimum(load, 0.4)
+    assert "'load_1_Nm' stays at its largest value, 0.4 N m" in _inspected(
+        _save(tmp_path / "log.csv", columns)
+    )
+    profile = np.clip(np.abs(np.arange(5000) % 2000 - 1000) / 500.0, 0.2, 1.5)  # computed: ramps and plateaus
+    columns["load_1_Nm"] = profile
+    assert "its limit" not in _inspected(_save(tmp_path / "profile.csv", columns))

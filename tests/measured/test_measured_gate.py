@@ -351,6 +351,16 @@ def test_a_sensor_that_shows_noise_alone_is_absent(tmp_path: Path) -> None:
     assert "nothing but noise" in log.findings[0].message and not log.has("current", 0)
 
 
+def test_a_pressure_sensor_that_sticks_in_its_own_noise(tmp_path: Path) -> None:
+    """From 1 s on it shows 5 bar and the noise of its converter, while the shaft goes on to turn to and fro."""
+    columns = clean(6000)
+    columns["pressure_1_bar"][1000:] = 5.0 + 0.05 * np.random.default_rng(7).normal(size=5000)
+    log = read_log(save(tmp_path, columns))
+    assert [(f.code, f.column) for f in log.findings] == [("stuck", "pressure_1_bar")]
+    assert log.pressure is not None and np.isnan(log.pressure[1000:, 0]).all()
+    assert np.isfinite(log.pressure[:1000, 0]).all() and log.has("pressure", 1)
+
+
 def test_a_blank_end_of_a_command_is_cut(tmp_path: Path) -> None:
     columns = clean()
     columns["command_1_V"][1200:] = np.nan
