@@ -1,10 +1,16 @@
 """The design of an experiment: 12 s of commands, and loads where the rig has been loaded, that show what the logs leave open.
 
-Open is which of several models is right. The criterion is the squared difference of two models' answers, in units of all that is
-not known about it: the noise (or what the better model leaves of the logs, where that is more), the form of the laws, which no
+Two things may be open, and the logarithms of both criteria are added up.
+
+Which of several models is right. The criterion is the squared difference of two models' answers, in units of all that is not
+known about it: the noise (or what the better model leaves of the logs, where that is more), the form of the laws, which no
 machine keeps to exactly (`FORM`), and what either model's parameters leave open, as an ensemble of estimates that the logs
 allow. What another value of a parameter would make up for counts for nothing. Box and Hill (1967), Technometrics 9, 57;
 Buzzi-Ferraris and others (1984), Chem. Eng. Sci. 39, 81.
+
+What the held-out logs will show. Their commands and loads are known beforehand, and simulations of estimates that the logs allow
+may be far apart there: the scale of all torques is open where no load acted. The criterion is how far they would still be apart
+with the experiment's log (V-optimality; Atkinson, Donev and Tobias 2007, Optimum Experimental Designs, section 10.6).
 
 Search: the best of some random experiments, then coordinate exchange, Meyer and Nachtsheim (1995), Technometrics 37, 60: one
 piece after the other is replaced by the best of some random ones. All pieces are simulated as part of the whole, so that what
@@ -18,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -27,14 +33,14 @@ from ..measured import RigLog
 from ..plant import PlantModel
 from ..plant.sensors import NOISE
 from ..waveforms import triangle
-from .estimation import Estimate, Fit, intervals_of
+from .estimation import Estimate, Fit, intervals_of, replica_differences
 from .input.parts import Part
 from .models.base import BLOCK_S, UNITS, Request
 from .models.dynamic_rig import DynamicRig
 from .settings import Settings
 
 __all__ = [
-    "SECONDS", "Design", "Question", "Trial", "best_design", "commands_csv", "random_design",
+    "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
 ]  # fmt: skip
 
 Array = np.ndarray
@@ -62,13 +68,24 @@ class Question:
 
 
 @dataclass(frozen=True)
+class Operation:
+    """What an estimate of a channel is to predict: `apart` (draws, draws) are mean products of how far the simulations of its
+    draws are from its own on the held-out logs, in units of the noise, so that the trace is the mean square of all of them."""
+
+    estimate: Estimate
+    apart: Array
+
+
+@dataclass(frozen=True)
 class Design:
     """Commands (T, 2) in V and loads (T, 2) in N m, one row every `PERIOD`, and for each pair of names how far their models are
-    apart: RMS in units of what is not known."""
+    apart: RMS in units of what is not known. `prediction`: how far estimates are apart on the held-out logs now and, as expected,
+    with the experiment, RMS in times the noise."""
 
     command_V: Array
     load: Array
     apart: Mapping[tuple[str, str], float]
+    prediction: tuple[float, float] | None = None
 
 
 # --- the family of experiments ----------------------------------------------------------------------------------------
@@ -164,24 +181,36 @@ def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> f
     return max(fit.noise[channel, signal], float(np.sqrt(min(powers))))
 
 
+def operation_of(held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
+    """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
+    differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
+    if not differences:
+        return None
+    joined = np.concatenate(differences, axis=1)
+    return Operation(estimate, joined @ joined.T / joined.size)
+
+
 @dataclass(frozen=True)
 class Trial:
-    """Experiments on the models: what each question's models answer, and which channels stay below the pressure limit."""
+    """Experiments on the models: what each question's models answer, what each channel's estimate would still leave open of the
+    held-out logs, and which channels stay below the pressure limit."""
 
     fit: Fit
     questions: Sequence[Question]
+    operations: Mapping[int, Operation] = field(default_factory=dict)
 
     @cached_property
     def _requests(self) -> list[list[Request]]:
-        """For every model of every question: the estimate, the same without the effect in question, and others that the logs
-        allow as well."""
+        """For every model of every question, then for every operation: the estimate, the same without the effect in question (or
+        without any), and others that the logs allow as well."""
         models = [(p, p.without(name)) for question in self.questions for name, p in question.models.items()]
+        models += [(o.estimate, _without_effects(o.estimate)) for o in self.operations.values()]
         draws = {p: (p.intervals or intervals_of(self.fit, p)).draws for p, _ in models}
         return [[p.request(), bare.request(), *(p.request(q) for q in draws[p])] for p, bare in models]
 
-    def run(self, experiments: Array) -> tuple[list[Distances], Array]:
-        """Simulates experiments (n, T, 2, 2): how far apart the models of each question are; whether a channel is allowed
-        (n, 2)."""
+    def run(self, experiments: Array) -> tuple[list[Distances], dict[int, Array], Array]:
+        """Simulates experiments (n, T, 2, 2): how far apart the models of each question are; by channel the mean squares (n,) by
+        which estimates would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
         tables, allowed = self._simulate(experiments)
         ensembles = iter(tables)
         apart = []
@@ -195,7 +224,8 @@ class Trial:
             apart.append(
                 {(a, b): np.mean([_distances(of[a][c], of[b][c]) for c in shared], axis=0) for a, b in pairs}
             )
-        return apart, allowed
+        left = {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)}
+        return apart, left, allowed
 
     def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
         """What the requests of each model show in the logged signals, by channel (requests, n, signals, T), and whether a channel
@@ -226,6 +256,19 @@ class Trial:
         models = list(models)
         return np.array([[_scale(self.fit, models, channel, signal)] for signal in self._logged])
 
+    def _left(self, channel: int, table: Array) -> Array:
+        """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
+        `table` (2 + draws, n, signals, T) of an operation."""
+        operation = self.operations[channel]
+        seen = table / self._scales([operation.estimate], channel)
+        left = np.empty(table.shape[1])
+        for n in range(left.size):
+            whole, bare, *draws = seen[:, n]
+            known = 1.0 / np.sqrt(1.0 + FORM**2 * _power(whole - bare))
+            off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
+            left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
+        return left
+
     @property
     def _logged(self) -> Sequence[str]:
         assert isinstance(self.fit.rig, DynamicRig)
@@ -235,12 +278,14 @@ class Trial:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
 
         A pair that is as far apart as what is not known counts as separated, and more for nothing."""
-        apart, allowed = self.run(experiments)
+        apart, left, allowed = self.run(experiments)
         found = np.zeros((len(experiments), 2))
         for question, squares in zip(self.questions, apart, strict=True):
             own = [c for c in (0, 1) if question.channel in (None, c)]
             for d in squares.values():
                 found[:, own] += (np.log1p(d * experiments.shape[1]) - np.log1p(d))[:, None]
+        for c, mean_square in left.items():
+            found[:, c] -= np.log1p(mean_square)
         return np.where(allowed, found, -np.inf)
 
 
@@ -252,6 +297,12 @@ def _max_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
         model.value(f"{e}.supply_pressure", channel)
         for e in ("pressure_dependent_flow", "external_leakage", "case_drain", "anti_cavitation")
     )
+
+
+def _without_effects(estimate: Estimate) -> Estimate:
+    for effect, channel in estimate.placed_effects():
+        estimate = estimate.without(effect, channel if estimate.channel is None else estimate.channel)
+    return estimate
 
 
 def _part(experiment: Array, model: PlantModel, number: int) -> Part:
@@ -295,7 +346,11 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 
 
 def _described(trial: Trial, experiment: Array) -> Design:
-    answers, _ = trial.run(experiment[None])
+    answers, left, _ = trial.run(experiment[None])
     apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.items()}
+    prediction = None
+    if left:
+        now = max(float(np.trace(each.apart)) for each in trial.operations.values())
+        prediction = np.sqrt(now), np.sqrt(max(float(each[0]) for each in left.values()))
     rated = np.array(trial.fit.rig.model.pair("u_rated"))
-    return Design(experiment[..., 0] * rated, experiment[..., 1], apart)
+    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, prediction)

@@ -8,21 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import Settings
-from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns
+from hydro_env.diagnosis import Settings, experiment_design
+from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, effect_unknowns
 from hydro_env.diagnosis.estimation.estimate import Intervals
 from hydro_env.diagnosis.experiment_design import (
     PERIOD,
     SECONDS,
+    Operation,
     Question,
     Trial,
     best_design,
+    operation_of,
     random_design,
 )
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.next_experiment import NextExperiment
-from hydro_env.plant import CATALOGUE, PlantModel, load_model, simulate
+from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, simulate
 from hydro_env.practice.generate import make_practice
 from hydro_env.practice.played import plans_of
 from hydro_env.units import BAR, RPM
@@ -79,11 +81,36 @@ def test_what_is_apart_already_counts_no_more(rig: DynamicRig, monkeypatch: pyte
 
     def score(square: float) -> float:
         apart = {("a", "b"): np.array([square])}
-        monkeypatch.setattr(Trial, "run", lambda *_: ([apart], np.ones((1, 2), bool)))
+        monkeypatch.setattr(Trial, "run", lambda *_: ([apart], {}, np.ones((1, 2), bool)))
         return float(Trial(Fit(rig, NOISE), [Question(0, {})]).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
 
     assert 0.0 < score(1e4) - score(1e2) < 0.02
     assert score(1e-1) - score(1e-3) > 1.0 and score(0.0) == 0.0
+
+
+def test_the_form_of_an_effect_hides_what_a_log_says(
+    rig: DynamicRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An estimate with an effect is left more open by an experiment than if its law were exact; one without is not."""
+    fit = Fit(rig, NOISE)
+    tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(8)))[None]
+
+    def left(effect: str, form: float) -> float:
+        monkeypatch.setattr(experiment_design, "FORM", form)
+        estimate = _estimate(fit, effect, 1.0, 0.02) if effect else _base(fit)
+        trial = Trial(fit, [], {0: Operation(estimate, np.eye(8))})
+        return float(trial.run(tried)[1][0][0])
+
+    assert left("dead_zone", 0.1) > 1.05 * left("dead_zone", 0.0)
+    assert left("", 0.1) == left("", 0.0)
+
+
+def _base(fit: Fit) -> Estimate:
+    """A model without any effect, of which the logs leave the gain open."""
+    found = Estimate(0, [base_unknown(PARAMETERS["Kq"], fit.rig.model.value("Kq", 0))], np.zeros(1), "")
+    found.intervals = Intervals(*(np.zeros(1) for _ in range(2)), np.linspace(-0.05, 0.05, 8)[:, None])
+    found.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    return found
 
 
 def test_the_commands_keep_to_the_limits(rig: DynamicRig) -> None:
@@ -114,7 +141,7 @@ def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) 
         trial = Trial(
             fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
         )
-        (apart,), _ = trial.run(tried)
+        (apart,), _, _ = trial.run(tried)
         return float(apart["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
@@ -129,8 +156,34 @@ def test_a_model_of_the_rig_is_parted_from_one_of_a_channel(rig: DynamicRig) -> 
     }
     trial = Trial(fit, [Question(0, models)])
     tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(7)))[None]
-    (apart,), _ = trial.run(tried)
+    (apart,), _, _ = trial.run(tried)
     assert apart["supply_droop", "dead_zone"][0] > 0.1
+
+
+def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_path: Path) -> None:
+    """The fit logs leave open one scale of displacement, inertia, losses, flow and capacity; the held-out log is under load."""
+    fit = Fit(rig, NOISE)
+    names = {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0}
+    unknowns = [base_unknown(PARAMETERS[name], rig.model.value(name, 0)) for name in names]
+    estimate = Estimate(0, unknowns, np.zeros(len(names)), "")
+    ways = np.array([sign * 0.05 / u.scale for sign, u in zip(names.values(), unknowns, strict=True)])
+    draws = np.linspace(-1.0, 1.0, 8)[:, None] * ways
+    estimate.intervals = Intervals(*(np.zeros(len(names)) for _ in range(2)), draws)
+    estimate.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    make_practice([], rate=500.0, runs=("sealed",)).write(tmp_path)
+    operation = operation_of(
+        fit.on(DynamicRig(rig.model, read_parts([tmp_path / "sealed.csv"], None))), estimate, 0
+    )
+    assert operation is not None and np.trace(operation.apart) > 1.0
+    trial = Trial(fit, [], {0: operation})
+    command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), max_load=0.6)
+    (with_load, without) = trial.run(
+        np.array([_experiment(command, load), _experiment(command, 0.0 * load)])
+    )[1][0]
+    assert with_load < 0.2 * without and without > 0.5 * np.trace(operation.apart)
+    found = best_design(trial, np.random.default_rng(6), max_load=0.6)
+    assert found is not None and 0.1 < np.abs(found.load[:, 0]).max() <= 0.6
+    assert found.prediction is not None and found.prediction[1] < 0.2 * found.prediction[0]
 
 
 def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Path) -> None:

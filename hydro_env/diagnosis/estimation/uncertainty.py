@@ -18,7 +18,7 @@ from .fit import Fit
 
 __all__ = [
     "CANNOT_BE_PREDICTED", "bootstrap", "intervals_of", "nearest_inside", "predictions_apart", "probability_of_gain",
-    "unpredictable",
+    "replica_differences", "unpredictable",
 ]  # fmt: skip
 
 #: Replicas of the bootstrap: five lie beyond each end of a 95 % interval. More than 200 are seldom needed for a standard error
@@ -90,22 +90,29 @@ def probability_of_gain(fit: Fit, smaller: Estimate, larger: Estimate, needed: f
     return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
 
 
-def predictions_apart(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
-    """By signal of a channel how far the farthest of the simulations of the replicas' estimates is from that of the estimate, RMS
-    in times the noise; on the logs of `fit`, which may be others than those fitted.
+def replica_differences(fit: Fit, estimate: Estimate, channel: int) -> list[tuple[str, Vector]]:
+    """By segment of a channel its signal, and how far the simulations of the replicas' estimates are from that of the estimate
+    (replicas, rows that count), in times the noise; on the logs of `fit`, which may be others than those fitted.
 
     A spool that sticks now here, now there, or a shaft that comes nearly to rest and turns on this way or that, does so by
     parts in a thousand of a parameter, which no fit knows.
     """
     if estimate.intervals is None:
-        return {}
+        return []
     requests = [estimate.request(), *(estimate.request(q) for q in estimate.intervals.draws)]
     first, *others = (result[channel] for result in fit.rig.predict(requests))
+    return [
+        (s.signal, np.array([(o - first)[s.place][s.used] for o in others]) / fit.noise[channel, s.signal])
+        for s in fit.rig.segments[channel]
+    ]
+
+
+def predictions_apart(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
+    """By signal of a channel the RMS of the farthest of the `replica_differences`, in times the noise."""
     apart: dict[str, float] = {}
-    for s in fit.rig.segments[channel]:
-        squares = [np.mean((o - first)[s.place][s.used] ** 2) for o in others]
-        far = float(np.sqrt(np.max(squares))) / fit.noise[channel, s.signal]
-        apart[s.signal] = max(apart.get(s.signal, 0.0), far)
+    for signal, rows in replica_differences(fit, estimate, channel):
+        far = float(np.sqrt(np.mean(rows**2, axis=1)).max())
+        apart[signal] = max(apart.get(signal, 0.0), far)
     return apart
 
 

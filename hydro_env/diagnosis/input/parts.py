@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Mapping, RigLog, load_mapping, read_log
 from ...measured.gate import jump_size
-from .windows import LONG_S, WARM_S, choose
+from .windows import LONG_S, WARM_S, choose, rest_starts
 
 __all__ = ["Part", "filled", "overlap", "read_parts", "timed"]
 
@@ -113,16 +113,25 @@ def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Pa
     ends = [min(end, float(log.time_s[-1]) + log.period) for _, end in windows]
     if max(ends) - log.time_s[0] <= LONG_S:
         return [_cut(word, log, windows)]
+    resting = log.time_s[rest_starts(log)]
     parts = []
     for (start, _), end in zip(windows, ends, strict=True):
-        start, note = max(start, float(log.time_s[0])), ""
-        chosen = [(start, end)]
+        start = max(start, float(log.time_s[0]))
         if end - start > LONG_S:
             chosen = choose(log, start, end)
-            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in chosen)
+            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b, _ in chosen)
             note = f"{word}: {end - start:.6g} s are too long to simulate; looked at {shown}, where the commands move most"
-        for a, b in chosen:
-            parts.append(replace(_cut(word, log.window(a - WARM_S, b), [(a, b)]), note=note))
+        else:
+            chosen, note = [(start, end, False)], ""
+        for a, b, at_rest in chosen:
+            before = resting[(resting <= a) & (resting >= a - LONG_S)]
+            begin = a if at_rest or not before.size else float(before[-1])
+            known = at_rest or bool(before.size) or a <= log.time_s[0]
+            counts = a if known else a + WARM_S
+            if not known:
+                note += "; " if note else f"{word}: "
+                note += f"nothing rests before {a:.6g} s, so the first {WARM_S:g} s there do not count"
+            parts.append(replace(_cut(word, log.window(begin, b), [(counts, b)]), note=note))
             note = ""
     return parts
 

@@ -1,7 +1,8 @@
 """Windows of long logs: an hour is not simulated as a whole, but in a few stretches that say most.
 
-How much a stretch says is judged by its commands: how far and how often they move, in both directions, on both channels, and how
-much the load changes.
+A stretch may begin where the rig is at rest, because a simulation does; where there is no rest it begins anywhere and its
+first second does not count. How much a stretch says is judged by its commands: how far and how often they move, in both
+directions, on both channels, and how much the load changes.
 """
 
 from __future__ import annotations
@@ -10,16 +11,33 @@ import numpy as np
 
 from ...measured import RigLog
 
-__all__ = ["LONG_S", "WARM_S", "choose"]
+__all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
 
 #: Beyond this length a log is looked at in windows, s; length and number of the windows: two logs of that length are diagnosed in
 #: a minute, and are as long as those of the blind trials.
 LONG_S = 120.0
 WINDOW_S, WINDOWS = 12.0, 2
-#: How long before a window its simulation begins, at rest, s: ten times what the shaft remembers (see `duration`).
-WARM_S = 2.0
+#: How long a rig must have been quiet to be at rest, s, and what does not count where it was not: more than the shaft remembers
+#: (see `duration`), and five times that.
+QUIET_S, WARM_S = 0.3, 1.0
+
 #: Moves that count in a second, in standard deviations of the signal: ten steps from end to end.
 MAX_MOVES = 20.0
+
+
+def rest_starts(log: RigLog) -> np.ndarray:
+    """Rows (m,) before which the whole rig was quiet: no command and no speed for QUIET_S."""
+    quiet = np.ones(len(log), bool)
+    speed = log.get("speed")
+    assert speed is not None
+    for c in log.channels:
+        for values, share in ((log.command_V[:, c], 0.005), (speed[:, c], 0.02)):
+            known = np.nan_to_num(values)
+            quiet &= np.abs(known) <= share * max(float(np.quantile(np.abs(known), 0.999)), 1e-12)
+    need = max(2, round(QUIET_S / log.period))
+    run = np.concatenate([[0], np.cumsum(quiet)])
+    rows = np.arange(need, len(log))
+    return rows[run[rows] - run[rows - need] == need]
 
 
 def _worth(log: RigLog, step: int) -> np.ndarray:
@@ -36,17 +54,32 @@ def _worth(log: RigLog, step: int) -> np.ndarray:
     return total
 
 
-def choose(log: RigLog, first: float, last: float) -> list[tuple[float, float]]:
-    """The `WINDOWS` windows (from, to) in seconds between `first` and `last` that say most, earliest first and apart."""
+def choose(log: RigLog, first: float, last: float, count: int = WINDOWS) -> list[tuple[float, float, bool]]:
+    """Up to `count` windows (from, to, begins at rest) in seconds between `first` and `last`, earliest first.
+
+    They do not overlap. Those that begin at rest are preferred unless they say less than half as much.
+    """
     step = max(1, round(1.0 / log.period))
-    sums = np.convolve(
-        _worth(log, step), np.ones(round(WINDOW_S)), "valid"
-    )  # of the window from each piece on
-    starts = log.time_s[np.arange(sums.size) * step]
-    score = np.where((starts >= first - 1e-9) & (starts + WINDOW_S <= last + 1e-9), sums, -np.inf)
-    found = []
-    for _ in range(WINDOWS):
-        start = float(starts[np.argmax(score)])
-        found.append((start, start + WINDOW_S))
-        score[np.abs(starts - start) < WINDOW_S] = -np.inf
+    worth = _worth(log, step)
+    time = log.time_s
+    width = round(WINDOW_S)
+    if worth.size <= width:
+        return [(first, last, True)]
+    sums = np.convolve(worth, np.ones(width), "valid")  # of the window that begins with each piece
+    starts = np.arange(sums.size) * step
+    usable = (time[starts] >= first - 1e-9) & (time[starts] + WINDOW_S <= last + 1e-9)
+    score = np.where(usable, sums, -np.inf)
+    begin, at_rest = starts.copy(), np.zeros(starts.size, bool)
+    rows = rest_starts(log)[::-1]  # of several in a piece the first one counts
+    rows = rows[rows < starts.size * step]
+    begin[rows // step], at_rest[rows // step] = rows, True
+    score = np.where(at_rest, 2.0 * score, score)
+    found: list[tuple[float, float, bool]] = []
+    for _ in range(count):
+        best = int(np.argmax(score))
+        if not np.isfinite(score[best]):
+            break
+        start = float(time[begin[best]])
+        found.append((start, start + WINDOW_S, bool(at_rest[best])))
+        score[np.abs(starts - starts[best]) * log.period < WINDOW_S + 1.0] = -np.inf
     return sorted(found)

@@ -1,9 +1,10 @@
 """The next experiment: commands, and loads where the rig has been loaded, that show what the logs leave open.
 
 Open are the names that are listed as indistinguishable from a named effect; where nothing is confirmed, the candidates that
-explain most of each channel. Each model has been refitted to the logs; `experiment_design` finds the experiment. What the
-catalogue knows of a pair is said beside it, such as a signal to record. The reduced model of a cylinder axis gets words only:
-commands from a table would drive it to the end of its stroke.
+explain most of each channel, and what the held-out logs ask of parameters that the fit logs leave open. Each model has been
+refitted to the logs; `experiment_design` finds the experiment. What the catalogue knows of a pair is said beside it, such as a
+signal to record. The reduced model of a cylinder axis gets words only: commands from a table would drive it to the end of its
+stroke.
 """
 
 from __future__ import annotations
@@ -16,12 +17,21 @@ import numpy as np
 
 from ...plant.catalogue import separating_experiment
 from ..estimation import Estimate
-from ..experiment_design import SECONDS, Design, Question, Trial, best_design, commands_csv
+from ..experiment_design import (
+    SECONDS,
+    Design,
+    Operation,
+    Question,
+    Trial,
+    best_design,
+    commands_csv,
+    operation_of,
+)
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "max_load", "questions", "run"]
+__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -42,10 +52,14 @@ class NextExperiment:
     design: Design | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters."""
+        """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters, `prediction`
+        is how far estimates are apart on the held-out logs, RMS in times the noise."""
         found: dict[str, Any] = {"description": self.description, "separates": list(self.separates)}
         if self.design is not None:
             found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.design.apart.items()}
+            if self.design.prediction is not None:
+                now, then = self.design.prediction
+                found["prediction"] = {"now": round(now, 2), "expected": round(then, 2)}
             found["commands"] = FILE
         return found
 
@@ -56,11 +70,11 @@ class NextExperiment:
 
 def run(state: State) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
-    asked = questions(state)
-    if not asked or not isinstance(state.rig, DynamicRig):
+    asked, wanted = questions(state), operations(state)
+    if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
         return _in_words(state.effects, state)
     rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
-    design = best_design(Trial(state.logs.fit, asked), rng, max_load(state))
+    design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
     if design is None:
         return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
@@ -84,6 +98,15 @@ def questions(state: State) -> list[Question]:
         if len(models) > 1:
             found.append(Question(channel, models))
     return found
+
+
+def operations(state: State) -> dict[int, Operation]:
+    """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
+    if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
+        return {}
+    held_out = state.logs.fit.on(state.logs.held_out)
+    found = {c: operation_of(held_out, state.models.final[c], c) for c in state.rig.channels}
+    return {c: each for c, each in found.items() if each is not None}
 
 
 def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
@@ -123,14 +146,22 @@ def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[
 def _described(design: Design) -> str:
     """What the experiment will show, and what the catalogue says of the pair that it parts least."""
     what = "commands and loads" if design.load.any() else "commands"
-    (one, other), least = min(design.apart.items(), key=lambda item: item[1])
-    pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
-    times = f"{least:.2g} times what is not known"
-    if least >= PARTED:
-        text = f"play the {SECONDS:g} s of {what} in {FILE} and log as before: there {pair} differ by {times}"
-    else:
-        text = f"{what} alone hardly separate {pair} ({FILE}: {times})"
-    known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
+    text, known = f"play the {SECONDS:g} s of {what} in {FILE} and log as before", ""
+    if design.apart:
+        (one, other), least = min(design.apart.items(), key=lambda item: item[1])
+        pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
+        times = f"{least:.2g} times what is not known"
+        if least >= PARTED:
+            text += f": there {pair} differ by {times}"
+        else:
+            text = f"{what} alone hardly separate {pair} ({FILE}: {times})"
+        known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
+    if design.prediction is not None:
+        now, then = design.prediction
+        text += (
+            f"; estimates that the logs allow, {now:.2g} times the noise apart on the held-out logs, should then be "
+            f"{then:.2g} times apart"
+        )
     return "; or ".join(filter(None, (text, known)))
 
 
