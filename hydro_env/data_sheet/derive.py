@@ -108,7 +108,7 @@ def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float]
     m, alpha = k / omega**2, force / q["ampere"]
     loop = fitted.hysteresis * q["hysteresis_percent"] / 100.0 * force
     dry = 0.5 * loop * q["friction_share"]
-    bristle = dry / (travel * 1.2e-3)
+    bristle = max(dry / (travel * 1.2e-3), PARAMETERS["s0"].possible[0])
     lag = (q.get("coil_lag", 0.0) if fitted.coil_lag is None else fitted.coil_lag) / omega
     overlap = q["dead_band_percent"] / 100.0 * travel
     drop = math.sqrt(q["pressure_bar"] * BAR / total_drop(q))
@@ -119,7 +119,7 @@ def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float]
         "C": max(2.0 * damping * m * omega - alpha**2 / resistance, 0.0),
         "Kq": fitted.flow * q["rated_flow_lpm"] * LPM / (travel - overlap) * drop,
         "Fc": dry, "Fs": dry * (1.0 if q["friction_share"] == 1.0 else 1.5), "vs": base["vs"] * size,
-        "s0": bristle, "s1": math.sqrt(bristle * m), "s2": 0.0,
+        "s0": bristle, "s1": max(math.sqrt(bristle * m), PARAMETERS["s1"].possible[0]), "s2": 0.0,
         "x_max": base["x_max"] * size, "k_stop": base["k_stop"] * k / base["k"],
         "dead_zone.overlap_positive": overlap, "dead_zone.overlap_negative": overlap,
         "magnetic_hysteresis.amplitude": 0.5 * loop * (1.0 - q["friction_share"]),
