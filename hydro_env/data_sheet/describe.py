@@ -194,8 +194,11 @@ def _text(found: Described) -> str:
     if any(f.marked for f in found.figures):
         lines.append("No model of this kind does all that the sheet says: check the marked figures and their conditions.")
     lines.append("\nassumed, as the sheet does not say; what is measured instead goes into the sheet")
+    rows: dict[tuple[object, ...], list[int]] = {}
     for row in found.assumptions:
-        of = f" {row.channel}" if len(channels) > 1 else ""
-        span = f"{row.low:.4g} to {row.high:.4g}" if row.low < row.high else ""
-        lines.append(f"  {row.key + of:34}{row.value:>12.4g}  {span:20}{row.why}")
+        rows.setdefault((row.key, row.value, row.low, row.high, row.why), []).append(row.channel)
+    for (key, value, low, high, why), of in rows.items():
+        name = f"{key} {of[0]}" if len(of) < len(channels) else key
+        span = "" if low == high else f"{low:.4g} to {high:.4g}"
+        lines.append(f"  {name:34}{value:>12.4g}  {span:20}{why}")
     return "\n".join(lines)

@@ -7,9 +7,11 @@ a standard. They stand in this file and nowhere else.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Oil, Supply, Valve
+from hydro_env.units import LPM
 
 __all__ = ["Quantity", "quantities"]
 
@@ -100,6 +102,12 @@ class _Known(dict[str, Quantity]):
             self.assume(key, min(lows), value, max(highs), why)
 
 
+def full_flow(known: Mapping[str, Quantity]) -> float:
+    """Flow of the open valve at the supply pressure, m3/s: it grows with the root of the drop."""
+    drop = known["edges"].value * known["at_pressure_drop_bar"].value
+    return known["rated_flow_lpm"].value * LPM * math.sqrt(known["pressure_bar"].value / drop)
+
+
 def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
     """All quantities of channel 0 or 1 by the keys of the tables; those of oil and lines have their own names."""
     known = _Known()
@@ -150,6 +158,9 @@ def _of_valve(known: _Known, valve: Valve) -> None:
 
 
 def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
+    fastest = 60.0 * full_flow(known) / (1e-6 * motor.displacement_cm3)
+    if fastest < 1000.0:
+        known.assume("at_speed_rpm", 0.4 * fastest, 0.7 * fastest, fastest, "share of the speed at full flow")
     known.assume_class(_MOTORS, motor.kind, "gear")
     known.assume("at_pressure_bar", 0.5 * supply.pressure_bar, supply.pressure_bar, supply.pressure_bar)
     cm3 = motor.displacement_cm3
@@ -168,9 +179,7 @@ def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
 
 def _of_lines(known: _Known, lines: Lines) -> None:
     known.assume("length_m", 0.3, 1.0, 3.0)
-    root = math.sqrt(known["edges"].value * known["at_pressure_drop_bar"].value / known["pressure_bar"].value)
-    flow = known["rated_flow_lpm"].value / 6e4 / root
-    bore = 1000.0 * math.sqrt(4.0 * flow / (math.pi * _OIL_SPEED))
+    bore = 1000.0 * math.sqrt(4.0 * full_flow(known) / (math.pi * _OIL_SPEED))
     known.assume("bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil")
     known.assume_class(_WALLS, lines.kind, "rubber")
     known.assume("fittings", 3.0, 10.0, 30.0, f"{_RULE}: loss coefficient of ports and couplings of one line")

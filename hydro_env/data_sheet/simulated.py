@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hydro_env.data_sheet.derive import total_drop
 from hydro_env.plant import PARAMETERS, Plant, PlantModel, simulate
+from hydro_env.plant.model import VALVE_PARAMETERS
 from hydro_env.units import BAR, LPM, MILLISECOND, RPM
 from hydro_env.valve_bench import identify, record
 
@@ -39,10 +40,10 @@ def _on_the_bench(model: PlantModel, **values: float) -> PlantModel:
 
 
 def _valve_alone(model: PlantModel) -> PlantModel:
-    """The valve before the base plant's motor, without friction."""
-    motor = {name: PARAMETERS[name].nominal for name in ("D", "J", "Km", "beta", "V")}
+    """The valve before a motor of 63 cm3 without friction, whose inertia takes hardly any pressure; else the base plant's."""
+    motor = {name: PARAMETERS[name].nominal for name in ("J", "Km", "beta", "V")}
     dry = dict.fromkeys(("motor_coulomb_friction.coulomb", "motor_coulomb_friction.static"), 0.0)
-    return _on_the_bench(model, **motor, B=0.0, **dry)
+    return _on_the_bench(model, **motor, D=1e-5, B=0.0, **dry)
 
 
 def _held(model: PlantModel, channel: int, load: float, seconds: float) -> dict[str, float]:
@@ -118,18 +119,20 @@ def _crossing(x: Floats, y: Floats, level: float) -> float:
 def motor_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> dict[str, float]:
     """Efficiencies at their point, and the starting torque, before a valve that has flow enough."""
     pressure, speed = q["at_pressure_bar"] * BAR, q["at_speed_rpm"] * RPM
-    displacement, rated = model.value("D", channel), model.value("u_rated", channel)
-    travel = model.value("alpha", channel) * rated / model.value("R", channel) / model.value("k", channel)
-    values = {
-        "pressure_dependent_flow.supply_pressure": 2.0 * pressure,
-        "Kq": 4.0 * displacement * speed / travel,
-        "dead_zone.overlap_positive": 0.0,
-        "dead_zone.overlap_negative": 0.0,
-    }
-    bench = _on_the_bench(model, **values)
+    displacement = model.value("D", channel)
+    valve = {name: PARAMETERS[name].nominal for name in VALVE_PARAMETERS}
+    rated = valve["u_rated"]
+    travel = valve["alpha"] * rated / valve["R"] / valve["k"]
+    closed = dict.fromkeys(("dead_zone.overlap_positive", "dead_zone.overlap_negative"), 0.0)
+    gain = min(2.0 * displacement * speed / travel, PARAMETERS["Kq"].possible[1])
+    bench = _on_the_bench(
+        model, **closed, **{**valve, "Kq": gain},
+        **{"magnetic_hysteresis.amplitude": 0.0, "magnetic_hysteresis.width": 0.03},
+        **{"pressure_dependent_flow.supply_pressure": 4.0 * pressure},
+    )  # fmt: skip
     plant, found = Plant(bench), {}
     rows = round(min(max(10.0 * _memory(model, channel), 1.0), 60.0) / 0.01)
-    command, load = 0.35 * rated, displacement * pressure
+    command, load = 0.6 * rated, displacement * pressure
     for _ in range(8):  # the command by what the speed lacks, the load by what the pressure lacks
         commands, loads = np.zeros((rows, 2)), np.zeros((1, 2))
         commands[:, channel], loads[:, channel] = command, load
@@ -148,9 +151,9 @@ def motor_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> di
 def _starting_torque(bench: PlantModel, channel: int, q: Mapping[str, float]) -> float:
     """Percent of the theoretical torque that is left when the motor breaks away."""
     command = np.zeros((3000, 2))
-    command[:, channel] = np.linspace(0.0, bench.value("u_rated", channel), 3000)
+    command[:, channel] = np.linspace(0.0, 0.1 * bench.value("u_rated", channel), 3000)
     out = simulate(bench, command, None, 0.01, record=("speed", "pressure"))
-    slow = out["speed"][:, 0, channel] < 1.0
+    slow = out["speed"][:, 0, channel] < 0.25  # full friction, see `motor_coulomb_friction`
     breakaway = float(np.max(out["pressure"][slow, 0, channel]))
     return 100.0 * (1.0 - breakaway / (q.get("starting_torque_at_bar", q["at_pressure_bar"]) * BAR))
 
