@@ -108,7 +108,9 @@ def drive(controller: Any, cases: Sequence[int], condition: Condition) -> dict[s
     trace = Trace(
         period=condition.period,
         command=np.array(commands),
-        **{key: np.array(rows) for key, rows in signals.items()},
+        setpoint_rpm=np.array(signals["setpoint_rpm"]),
+        speed_rpm=np.array(signals["speed_rpm"]),
+        angle_difference_deg=np.array(signals["angle_difference_deg"]),
     )
     return {name: np.where(bad, np.inf, values) for name, values in compute(trace, METRICS).items()}
 

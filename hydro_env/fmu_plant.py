@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
-from hydro_env.plant import Plant, PlantModel
+from hydro_env.plant import PARAMETERS, Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
@@ -68,13 +68,19 @@ class Link:
 
 @dataclass(frozen=True)
 class FmuModel(PlantModel):
-    """An FMU in the place of a model: its file, and what its variables mean, by (signal, channel 0 or 1)."""
+    """An FMU in the place of a model: its file, and what its variables mean, by (signal, channel 0 or 1). `rig` has what is
+    known of its parameters, from which its size follows."""
 
     file: str = ""
+    rig: PlantModel = field(default_factory=PlantModel)
     links: Mapping[tuple[str, int], Link] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     dtype = "float64"
     """What an FMU computes in."""
+
+    def value(self, name: str, channel: int) -> float:
+        """As `PlantModel.value`; what the FMU does not show is that of `rig`."""
+        return super().value(name, channel) if name in self.values else self.rig.value(name, channel)
 
     def to_dict(self, source: str | Mapping[str, str] = "") -> dict[str, Any]:
         """What tells it from others, the FMU's content included."""
@@ -117,8 +123,28 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
     one, two = own if rated is None else (rated, rated)
     if one is None or two is None:
         raise InputError(f"{mapping or file}: rated is missing: the value of the commands at full command")
-    model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
-    return FmuModel(model.name, model.values, (), file=str(file), links=links, start=start)
+    rated_V = float(one), float(two)
+    name, values = Path(file).stem, {"u_rated": rated_V}
+    rig = PlantModel(name, {"R": _coils(rated_V)} | _own_values(variables, start) | values)
+    return FmuModel(name, values, (), file=str(file), rig=rig, links=links, start=start)
+
+
+def _coils(rated: tuple[float, float]) -> tuple[float, float]:
+    """Resistances by which these commands drive the paper's current: nothing else is known of the size of the rig."""
+    R, nominal = PARAMETERS["R"], PARAMETERS["u_rated"].nominal
+    one, two = (min(max(each / nominal * R.nominal, R.possible[0]), R.possible[1]) for each in rated)
+    return one, two
+
+
+def _own_values(variables: Mapping[str, Any], start: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """The base parameters of an FMU that `hydro-env export fmu` has made."""
+    found = {}
+    for name in (*PARAMETERS, "pressure_dependent_flow.supply_pressure"):
+        own = [f"channel_{c}.{name}" for c in (1, 2)]
+        if all(each in variables for each in own):
+            one, two = (float(start.get(each, variables[each].start)) for each in own)
+            found[name] = (one, two)
+    return found
 
 
 def _check(

@@ -356,7 +356,11 @@ def _told(cells: list[Cell], key: str, of: Callable[[Cell], Any]) -> list[dict[s
 def _drawn_over(plant: Any, split: str) -> list[str]:
     """Values of a plant that are not scored, since the split draws them: base parameters and effects."""
     own, ranges = load_model(plant).values, SPLITS[split].ranges
-    about = {name: " (varied about it)" if ranges[name].meant_for else "" for name in ranges if name in own}
+    about = {
+        name: " (varied about it)" if isinstance(ranges[name].meant_for, float) else ""
+        for name in ranges
+        if name in own
+    }
     return list(dict.fromkeys(name.partition(".")[0] + how for name, how in about.items()))
 
 

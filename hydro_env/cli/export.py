@@ -27,7 +27,7 @@ Controller = Annotated[str, Argument(
     help="A shipped controller, a gains file (.json), a policy (.npz) or file.py:Class, with gains if wanted (NAME:Kp=0.2).",
 )]
 Bench = Annotated[
-    str, Option("--plant", help="Preset or YAML file of the rig whose valves a controller had on the bench.")
+    str, Option("--plant", help="Preset or YAML file of the rig that it drives, whose valves go on the bench where needed.")
 ]
 Period = Annotated[float, number("Control period that is built in.", Limits(1e-4, 1.0, unit="s"), "--control-period")]
 Trust = Annotated[bool, Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")]

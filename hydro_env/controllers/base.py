@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, log
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,11 @@ from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.errors import InputError, suggestion
-from hydro_env.plant import PARAMETERS
+from hydro_env.plant import PAPER, PARAMETERS, Scales, scales_of
 from hydro_env.units import RPM
 
 if TYPE_CHECKING:
-    from hydro_env.plant import Plant
+    from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
     "FRACTION_PER_V",
@@ -41,7 +41,7 @@ Rows = NDArray[Any] | slice
 """Rigs, as an index of arrays."""
 
 FRACTION_PER_V = 1.0 / PARAMETERS["u_rated"].nominal
-"""One volt of command as a fraction of the rated command."""
+"""One volt of command as a fraction of the rated command of the paper's valves."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,11 @@ class Gain:
     log: bool = True
     summary: str = ""
     default: float | None = None
+
+    def size(self, scales: Scales) -> float:
+        """What the gain is multiplied by on a rig of these scales."""
+        top, _, bottom = self.unit.partition("/")
+        return scales.factor(top) / scales.factor(bottom)
 
 
 SLEW = Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf)
@@ -76,6 +81,9 @@ class Controller:
     a value per channel, or an array (num_rigs, 1) with a value per rig; the latter is how a tuner tries
     many at once.
 
+    Measurements and gains are those of the rig. A law that is `similar` works in the units of the paper's rig instead (`scales`):
+    by similarity every rig is one of that size, so that its constants hold, and gains found there can be carried to others.
+
     All share the output shaping: a command changes no faster than the gain `slew`, and the share `shape` of it passes the
     filter that leaves the spool's lightly damped mode at rest. `limits` are what a command can be in this sample; a law
     with an integrator passes them on, so that it does not wind up on either limit.
@@ -86,6 +94,7 @@ class Controller:
             valve bench beforehand; "parameters": the true valves; "everything": the loads to come as well. All but
             the first get `prepare` called with a copy of the plant, the last one `foresee` too. The leaderboard lists it.
         plant: the plant the controller belongs to where that is another one than the plant under test.
+        similar: whether the law works in the units of the paper's rig, once it is told which rig it `drives`.
 
     `guard` watches what `act` is given (`hydro_env.controllers.input_guard`); its `fault` (num_rigs,) tells of absent inputs.
     """
@@ -93,6 +102,7 @@ class Controller:
     GAINS: ClassVar[tuple[Gain, ...]] = ()
     needs: str = "measurements"
     plant: str | None = None
+    similar: bool = False
     limits: tuple[Floats, Floats]
     """Least and largest command of this sample, each (num_rigs, 2), while `command` works."""
     asked: Floats
@@ -112,6 +122,10 @@ class Controller:
         if missing:
             raise InputError(f"{self.name}: gain {missing[0]!r} is missing; needed are {', '.join(known)}")
         self.gains: dict[str, Floats] = {key: np.asarray(value, dtype=float) for key, value in gains.items()}
+        self._given = self.gains
+        #: Gains that were found on the paper's rig and are carried over, by name.
+        self.carried: frozenset[str] = frozenset()
+        self.scales, self.rig = PAPER, PAPER
         self._sets: dict[float, dict[str, Floats]] = {}
         self.period = 0.0
         self.guard = InputGuard(0, 1.0)
@@ -122,12 +136,33 @@ class Controller:
         """Gains for control periods (s): `reset` takes those whose period is nearest in ratio to its own."""
         self._sets = {float(p): type(self)(self.name, **each).gains for p, each in sets.items()}
 
+    def carry(self) -> Self:
+        """The same controller; its gains were found on the paper's rig."""
+        self.carried = frozenset(self._given)
+        return self
+
     def with_gains(self, /, **changed: Any) -> Controller:
         """The same controller with single gains changed, at whatever control period."""
-        again = type(self)(self.name, **{**self.gains, **changed})
-        again.plant = self.plant
+        again = type(self)(self.name, **{**self._given, **changed})
+        again.plant, again.carried = self.plant, self.carried - changed.keys()
         again.for_periods({period: {**each, **changed} for period, each in self._sets.items()})
         return again
+
+    def drives(self, model: PlantModel) -> None:
+        """Called before `reset` with the model of the rig as its owner has it: before valves are drawn."""
+        self.rig = scales_of(model)
+        self.scales = self.units_for(model) if self.similar else PAPER
+
+    def units_for(self, model: PlantModel) -> Scales:
+        """How large a rig is beside the paper's in the units of a law that is `similar`."""
+        return scales_of(model)
+
+    def _converted(self, gains: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Gains in the units in which the law works."""
+        size = {
+            gain.name: 1.0 if gain.name in self.carried else gain.size(self.scales) for gain in self.GAINS
+        }
+        return {name: value / size[name] for name, value in gains.items()}
 
     def prepare(self, plant: Plant) -> None:
         """Called with the rigs (rows of `plant`) before the episode, where `needs` asks for it."""
@@ -141,13 +176,13 @@ class Controller:
         """Forgets the last episode. `control_period` in s."""
         self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
         self.guard = InputGuard(self._num_rigs, self.period)
-        if self._sets:
-            self.gains = self._sets[min(self._sets, key=lambda known: abs(log(known / self.period)))]
+        sets = self._sets or {self.period: self._given}
+        self.gains = self._converted(sets[min(sets, key=lambda known: abs(log(known / self.period)))])
 
     @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
-        measured = decode(np.asarray(observation))
+        measured = decode(np.asarray(observation), self.rig).over(self.scales)
         if measured.speed.shape != (self._num_rigs, 2):
             raise ValueError(
                 f"{self.name} was reset for {self._num_rigs} rigs, got {len(measured.speed)} observations"
@@ -157,7 +192,8 @@ class Controller:
             self.__shaper = InputShaper(SPOOL_RATE, self.period, self.sent)
             self.start(measured)
             self._started = True
-        most = self.gains.get("slew", inf) * FRACTION_PER_V * self.period
+        per_volt = FRACTION_PER_V / (1.0 if self.similar else self.rig.command)
+        most = self.gains.get("slew", inf) * per_volt * self.period
         last = self.__shaper.past[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
         self.asked = self.command(measured)

@@ -60,7 +60,7 @@ def _law(law: type[Controller], name: str, summary: str, apart: bool = False) ->
 
 def _tuned(name: str, summary: str) -> Entry:
     path = HERE / "data" / f"{name}.json"
-    return Entry(name, summary, lambda: _from_gains(path, name), path)
+    return Entry(name, summary, lambda: _from_gains(path, name).carry(), path)
 
 
 def _policy(name: str, summary: str, apart: bool = False) -> Entry:
@@ -71,7 +71,11 @@ def _policy(name: str, summary: str, apart: bool = False) -> Entry:
 CONTROLLERS: dict[str, Entry] = {
     entry.name: entry
     for entry in (
-        Entry("pid_paper", "the paper's PIDs, Table III", lambda: PidController("pid_paper", **TABLE_III)),
+        Entry(
+            "pid_paper",
+            "the paper's PIDs, Table III",
+            lambda: PidController("pid_paper", **TABLE_III).carry(),
+        ),
         _tuned("pid_tuned", "the same law, gains found by search"),
         _tuned("master_slave", "motor 2 follows motor 1"),
         _tuned("cross_coupled", "PI with a PI on the speed difference"),

@@ -15,6 +15,7 @@ from hydro_env.controllers.base import Controller, Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import shown
 from hydro_env.tasks import Trace, compute
+from hydro_env.tasks.metrics import SETTLED_RPM
 
 __all__ = ["Episodes", "Step", "roll_out"]
 
@@ -68,14 +69,8 @@ def roll_out(
     or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
     `dtype` is that of the plant; `steps` receives all that the environment gives.
     """
-    env = HydraulicSyncVectorEnv(
-        len(seeds),
-        plant=plant,
-        mismatch=mismatch,
-        scenario=scenario,
-        control_period=control_period,
-        dtype=dtype,
-    )
+    task = {"plant": plant, "mismatch": mismatch, "scenario": scenario}
+    env = HydraulicSyncVectorEnv(len(seeds), **task, control_period=control_period, dtype=dtype)
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
     signals = {key: [np.array(info[key])] for key in SIGNALS}
     commands: list[Floats] = []
@@ -107,12 +102,15 @@ def roll_out(
             raise ValueError(f"case {case}: {info['termination'][case]}")
         done = np.asarray(truncated)
     arrays = {key: np.array(rows) for key, rows in signals.items()}
-    trace = Trace(period=control_period, command=np.array(commands), **arrays)
+    settled = env.scales.speed * SETTLED_RPM
+    trace = Trace(period=control_period, command=np.array(commands), settled_rpm=settled, **arrays)
     return Episodes(trace, faults, float(np.median(sizes)), returns)
 
 
 def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:
-    """Shows a controller beforehand what its `needs` ask for."""
+    """Tells a controller which rig it drives, and shows it beforehand what its `needs` ask for."""
+    if hasattr(controller, "drives"):
+        controller.drives(env.model)
     needs = getattr(controller, "needs", "measurements")
     if needs != "measurements":
         controller.prepare(env.plant.copy())

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, shown, suggestion
 from ..limits import Limits
-from ..plant import Plant, PlantModel, load_model
+from ..plant import Plant, PlantModel, load_model, scales_of
 from ..plant.plant import machine_memory
 from ..streams import Component
 from ..tasks.mismatch import Mismatch, default_mismatch, load_mismatch
@@ -26,7 +26,7 @@ from ..tasks.scenarios import Reference, Scenario, load_scenario
 from ..units import RPM
 from .env_spec import OwnSpec
 from .history import History
-from .observation import ERRORS, FRAME, LIMIT, noise_levels, with_errors
+from .observation import ERRORS, FRAME, LIMIT, noise_levels, scales_on, with_errors
 from .plants import PlantLike, PlantSource, make_plant
 from .profiles import encode
 from .randomisation import Episodes, Randomisation
@@ -110,7 +110,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
-        self.scenario = load_scenario(scenario)
+        self.scales = scales_of(self.model)
+        self.scenario = load_scenario(scenario, self.scales)
         auto = isinstance(mismatch, str) and mismatch == "auto"
         self.mismatch = load_mismatch(default_mismatch(plant) if auto else mismatch)
         self.render_mode = render_mode
@@ -121,9 +122,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         width = FRAME * self.history
         self._check_memory(6.0 * 4 * width * self.num_envs, f"observations with a history of {self.history}")
         self._make_spaces()
-        self._rollout = Rollout(
-            made, self.control_period, width, noise_levels(noise), self.reward.weights(), self.threads
-        )
+        deviation = noise_levels(noise, self.scales)
+        sensing = np.concatenate([scales_on(self.scales), self.reward.weights(self.scales.speed)])
+        self._rollout = Rollout(made, self.control_period, width, deviation, sensing, self.threads)
         self._randomisation = Randomisation(self.num_envs, self.model)
         self._history = History(self.num_envs, self.history)
         self._ended, self._begun = np.zeros(self.num_envs, np.bool_), False
@@ -174,7 +175,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             if key not in OPTIONS:
                 raise InputError(f"reset: unknown option {shown(key)}: {suggestion(key, OPTIONS)}")
         if "scenario" in options:
-            options["scenario"] = load_scenario(options["scenario"])
+            options["scenario"] = load_scenario(options["scenario"], self.scales)
         if "mismatch" in options:
             options["mismatch"] = load_mismatch(options["mismatch"])
         mask = self._mask(options.pop("reset_mask", None))

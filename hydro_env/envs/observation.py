@@ -1,8 +1,8 @@
 """What a controller sees: names, scales, sensors.
 
 An observation is a frame of `OBSERVATION` signals, or with `history=k` the last k frames, newest last. Every signal
-is divided by its fixed physical scale (`SCALES`) inside the environment and clipped to +-`LIMIT`, so that nothing has
-to be normalised, and no statistics saved, outside.
+is divided by its fixed physical scale inside the environment and clipped to +-`LIMIT`, so that nothing has
+to be normalised, and no statistics saved, outside. On the paper's rig the scales are `SCALES`, on another `scales_on` it.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, shown, suggestion
 from ..limits import Limits
+from ..plant import PAPER, Scales
 from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
-__all__ = ["LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels", "with_errors"]
+__all__ = [
+    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels", "scales_on", "with_errors",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -33,14 +36,14 @@ FRAME = len(OBSERVATION)
 #: What `with_errors` adds to a frame.
 ERRORS = 3
 
-#: What 1.0 stands for: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
+#: What 1.0 stands for on the paper's rig: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
 SCALES: Floats = np.array([600 * RPM] * 3 + [0.73] * 2 + [10 * BAR] * 2 + [1.0] * 2)
 SCALES.setflags(write=False)
 
-#: Scaled signals are clipped to +-LIMIT: 6000 rpm, 7.3 A, 100 bar, far beyond what the rig does.
+#: Scaled signals are clipped to +-LIMIT: on the paper's rig 6000 rpm, 7.3 A, 100 bar, far beyond what it does.
 LIMIT = 10.0
 
-#: Standard deviations of the sensors' noise, by key of the `noise` argument, in the units these keys name.
+#: Standard deviations of the sensors' noise on the paper's rig, by key of the `noise` argument, in the units these keys name.
 NOISE = {key: SENSORS[key] for key in ("speed_rpm", "current_A", "pressure_bar")}
 
 
@@ -61,25 +64,43 @@ class Measurements:
     pressure: Floats
     command: Floats
 
+    def over(self, rig: Scales) -> Measurements:
+        """The measurements of the same motion on a rig that is smaller by these scales."""
+        if rig == PAPER:
+            return self
+        speed, current, pressure = (
+            self.speed / rig.speed,
+            self.current / rig.current,
+            self.pressure / rig.pressure,
+        )
+        return Measurements(self.setpoint / rig.speed, speed, current, pressure, self.command)
 
-def decode(observation: NDArray[np.floating]) -> Measurements:
-    """The newest frame of observations (N, n) in SI, with errors in front or without. ValueError if n is no multiple of the
-    length of a frame."""
+
+def scales_on(rig: Scales) -> Floats:
+    """What 1.0 stands for on a rig of another size, (FRAME,) in SI."""
+    factors = [rig.speed] * 3 + [rig.current] * 2 + [rig.pressure] * 2 + [1.0] * 2
+    return SCALES * factors
+
+
+def decode(observation: NDArray[np.floating], rig: Scales = PAPER) -> Measurements:
+    """The newest frame of observations (N, n) in SI, with errors in front or without, on a rig of this size (`scales_of(model)`).
+
+    ValueError if n is no multiple of the length of a frame."""
     array = np.asarray(observation)
     width = array.shape[1] if array.ndim == 2 else 0
     if not width or (width % FRAME and width % (FRAME + ERRORS)):
         raise ValueError(
             f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})"
         )
-    frame = array[:, -FRAME:] * SCALES
+    frame = array[:, -FRAME:] * scales_on(rig)
     return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
 
 
 def with_errors(observation: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     """Observations (..., 9 k) with three numbers for each frame in front of them: (..., 12 k).
 
-    Both motors' errors to the set-point and the speed difference, 1.0 for 60 rpm, clipped to +-5. They hold nothing new, but a
-    network finds the same numbers a tenth as large, and differences of large ones, hard to learn from.
+    Both motors' errors to the set-point and the speed difference, 1.0 for a tenth of that of the speeds, clipped to +-5. They
+    hold nothing new, but a network finds the same numbers a tenth as large, and differences of large ones, hard to learn from.
     """
     array = np.asarray(observation, dtype=np.float32)
     frames = array.reshape(*array.shape[:-1], -1, FRAME)
@@ -89,12 +110,14 @@ def with_errors(observation: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     return np.concatenate([errors, array], axis=-1)
 
 
-def noise_levels(noise: float | Mapping[str, float]) -> Floats:
-    """Standard deviations (6,) of speeds, currents and pressures, scaled like the observation.
+def noise_levels(noise: float | Mapping[str, float], rig: Scales = PAPER) -> Floats:
+    """Standard deviations (6,) of speeds, currents and pressures, scaled like the observation on a rig of this size.
 
-    `noise` is a factor on `NOISE` (0 for none) or gives single levels in its units. InputError for anything else.
+    `noise` is a factor on what sensors of such a rig have (0 for none), `NOISE` on the paper's, or gives single levels in its
+    units. InputError for anything else.
     """
-    levels = dict(NOISE)
+    sizes = {"speed_rpm": rig.speed, "current_A": rig.current, "pressure_bar": rig.pressure}
+    levels = {key: sizes[key] * value for key, value in NOISE.items()}
     if isinstance(noise, Mapping):
         for key, value in noise.items():
             if key not in levels:
@@ -104,4 +127,4 @@ def noise_levels(noise: float | Mapping[str, float]) -> Floats:
         factor = LEVEL.check(noise, "noise")
         levels = {key: factor * value for key, value in levels.items()}
     speed, current, pressure = levels["speed_rpm"] * RPM, levels["current_A"], levels["pressure_bar"] * BAR
-    return np.array([speed, speed, current, current, pressure, pressure]) / SCALES[1:7]
+    return np.array([speed, speed, current, current, pressure, pressure]) / scales_on(rig)[1:7]

@@ -22,7 +22,7 @@ class Reward:
     """Weights of the cost of a control period; the reward is the negative sum of
 
     tracking * |speed - set-point| / 100 rpm, mean of both motors
-    difference * |speed 1 - speed 2| / 100 rpm
+    difference * |speed 1 - speed 2| / 100 rpm (both on the paper's rig, on another one in proportion to its speed)
     variation * |command - command before|, mean of both valves, as a fraction of the rated command
     divergence, once, if the simulation diverges numerically (which ends the episode)
 
@@ -35,9 +35,13 @@ class Reward:
     variation: float = 0.1
     divergence: float = 10.0
 
-    def weights(self) -> NDArray[np.float64]:
-        """The four weights per rpm, rpm, fraction and event."""
-        return np.array([self.tracking / 100.0, self.difference / 100.0, self.variation, self.divergence])
+    def weights(self, speed: float = 1.0) -> NDArray[np.float64]:
+        """The four weights per rpm, rpm, fraction and event on a rig of this scale of speed, and the speed difference, rpm,
+        beyond which `cost_difference` counts; what good controllers stay below once the motors run."""
+        unit = 100.0 * speed
+        return np.array(
+            [self.tracking / unit, self.difference / unit, self.variation, self.divergence, 20.0 * speed]
+        )
 
 
 def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:

@@ -26,15 +26,15 @@ Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[n
 class Rollout:
     """The rigs of a batch with the `STATE` of their episodes.
 
-    `deviation` (6,) is that of the sensors' noise, scaled like the observation, of `width` numbers; `weights` (4,) those of the
-    reward.
+    `deviation` (6,) is that of the sensors' noise, scaled like the observation, of `width` numbers; `sensing` (14,) as for
+    `observe`.
     """
 
     def __init__(
-        self, plant: PlantLike, period: float, width: int, deviation: Floats, weights: Floats, threads: int
+        self, plant: PlantLike, period: float, width: int, deviation: Floats, sensing: Floats, threads: int
     ) -> None:
         self.period, self.width, self.threads = period, width, threads
-        self.deviation, self.weights = deviation, weights
+        self.deviation, self.sensing = deviation, sensing
         self.rows = np.arange(plant.num_rigs)
         self.state: NDArray[Any] = np.zeros(plant.num_rigs, STATE)
         self.profiles = Profiles(plant.num_rigs)
@@ -93,6 +93,6 @@ class Rollout:
     def sense(self, rows: Rows, result: Result) -> None:
         """Fills the result of some rows at their present step; of observations the newest frame."""
         take_inputs(rows, self.state, self.profiles.starts, self.profiles.levels, self.deviation)
-        observe(rows, self.state, self.plant.memory, self._where, self.weights, *result)
+        observe(rows, self.state, self.plant.memory, self._where, self.sensing, *result)
         if self._winds:
             wind(rows, self.state, self.plant.memory, self._where[SIGNALS.index("angle")], result[1])

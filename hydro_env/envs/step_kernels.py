@@ -13,7 +13,7 @@ import numpy as np
 from ..jit import compiled
 from ..streams import block, normal
 from ..units import BAR, DEGREE, RPM
-from .observation import LIMIT, SCALES
+from .observation import LIMIT
 
 __all__ = ["COLUMNS", "NEVER", "SIGNALS", "STATE", "TRUE", "apply", "observe", "take_inputs", "wind"]
 
@@ -53,9 +53,6 @@ COLUMNS: dict[str, slice | int] = {
     "cost_difference": 10, "cost_travel": 11, "lowest_line_pressure_bar": 12,
 }  # fmt: skip
 TRUE = 13
-#: Speed difference, rpm, beyond which `cost_difference` counts; what good controllers stay below once the motors run.
-COST_BOUND_RPM = 20.0
-
 _TO_RPM = 1.0 / RPM
 _TO_DEG = 1.0 / DEGREE
 _TO_BAR = 1.0 / BAR
@@ -114,21 +111,23 @@ def take_inputs(rows, state, starts, levels, deviation):
 
 
 @_threaded
-def observe(rows, state, memory, where, weights, observation, true, reward, terminated, truncated):
+def observe(rows, state, memory, where, sensing, observation, true, reward, terminated, truncated):
     """Sensors, reward and true signals of some rows at their present step.
 
-    memory, where: the plant's memory and the rows of `SIGNALS` in it. weights (4,): of the reward. The last five are filled:
+    memory, where: the plant's memory and the rows of `SIGNALS` in it. sensing (14,): what 1.0 stands for in a frame; then the
+    weights of the reward, and the speed difference, rpm, beyond which `cost_difference` counts. The last five are filled:
     observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
     """
-    newest = observation.shape[1] - SCALES.size
+    scales, weights = sensing[:-5], sensing[-5:]
+    newest = observation.shape[1] - scales.size
     half = memory.shape[2] // 2
     for i in rows:
         row, block = state[i], i // half
         cells, lane = memory[block], i - block * half
-        observation[i, newest] = row.setpoint / SCALES[0]
+        observation[i, newest] = row.setpoint / scales[0]
         for j in range(6):
             c = j % 2
-            value = cells[where[2 + j // 2], lane + c * half] / SCALES[1 + j]
+            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j]
             if j < 2:
                 value += row.noise[j] * row.noise_factor[c]
                 if row.step >= row.stuck_from[c]:
@@ -152,7 +151,7 @@ def observe(rows, state, memory, where, weights, observation, true, reward, term
         true[i, 4], true[i, 5] = row.fraction[0] * row.rated[0], row.fraction[1] * row.rated[1]
         true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
         true[i, 7], true[i, 8], true[i, 9] = tracking, difference, variation
-        beyond = abs(one - two) - COST_BOUND_RPM
+        beyond = abs(one - two) - weights[4]
         true[i, 10] = beyond if beyond > 0.0 else 0.0
         true[i, 11] = row.moved
         first = cells[where[6], lane] - 0.5 * abs(cells[where[4], lane])

@@ -14,7 +14,7 @@ from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_g
 from hydro_env.errors import InputError, place_of
 from hydro_env.files import write_json, write_text
 from hydro_env.ir.reader import TranslationError
-from hydro_env.plant import Plant, load_model
+from hydro_env.plant import Plant, PlantModel, load_model, scales_of
 
 from .c_code import c_code
 from .c_printer import identifier
@@ -28,14 +28,15 @@ __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
 def program_of(
     spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False, trust: bool = False
 ) -> Program:
-    """What a controller does with its samples. `plant`: the rig whose valves are put on the bench for one that needs it;
+    """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed;
     `single`: a network in single precision, as it runs in Python unless asked otherwise; `trust`: as for `make_controller`.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
-    controller = _controller(spec, plant, single, trust)
+    model = load_model(plant)
+    controller = _controller(spec, model, single, trust)
     try:
-        return trace(controller, period, controller.name.partition(":")[0])
+        return trace(controller, period, controller.name.partition(":")[0], scales_of(model))
     except (TraceError, TranslationError) as problem:
         raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
@@ -47,7 +48,7 @@ def _refusal(spec: str, why: object) -> InputError:
     return InputError(f"controller {spec!r} cannot be exported: {why}")
 
 
-def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
+def _controller(spec: str, model: PlantModel, single: bool, trust: bool) -> Any:
     controller = make_controller(spec, trust=trust)
     if isinstance(controller, NumpyPolicy):
         return NumpyPolicy(_policy_file(spec), controller.name, np.float32 if single else np.float64)
@@ -57,8 +58,9 @@ def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
     if controller.needs in ("parameters", "everything"):
         why = "it needs the true plant, which no rig can tell it; one that goes by measurements is right"
         raise _refusal(spec, why)
+    controller.drives(model)
     if controller.needs == "bench":
-        controller.prepare(Plant(load_model(plant)))
+        controller.prepare(Plant(model))
     return controller
 
 

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.envs.observation import LIMIT, OBSERVATION, SCALES
+from hydro_env.envs.observation import LIMIT, OBSERVATION, scales_on
 from hydro_env.ir.reader import Reader
+from hydro_env.plant import PAPER, Scales
 
 from .copies import Copies
 from .kernels import kernel_call
@@ -220,19 +221,19 @@ def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
     return arrays, plain
 
 
-def _observation() -> Symbols:
-    """The scaled observation, as the environment makes it of what is measured."""
+def _observation(rig: Scales) -> Symbols:
+    """The scaled observation, as the environment of a rig of this size makes it of what is measured."""
     made = []
-    for n, scale in enumerate(SCALES):
+    for n, scale in enumerate(scales_on(rig).tolist()):
         scaled = operate("div", [leaf("measured", n, "double"), constant(scale, "double")])
         low, high = constant(-LIMIT, "double"), constant(LIMIT, "double")
         made.append(cast(operate("min", [operate("max", [scaled, low]), high]), "float"))
     return symbols(made, (1, len(made)))
 
 
-def _sample(controller: Any) -> Any:
+def _sample(controller: Any, rig: Scales) -> Any:
     """What the controller does with a sample, without the guard around it, which each language has for itself."""
-    return inspect.unwrap(type(controller).act)(controller, _observation())
+    return inspect.unwrap(type(controller).act)(controller, _observation(rig))
 
 
 def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
@@ -241,16 +242,17 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
         given["command", channel] = cast(plain[channel], "double")
 
 
-def trace(controller: Any, period: float, name: str) -> Program:
-    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
+def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Program:
+    """The program of a controller at a control period in s on a rig of this size. TraceError, in one line, for what cannot be
+    followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
     with interned():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
-        _commands(_sample(controller), program.first)
+        _commands(_sample(controller, rig), program.first)
         kept = _kept_by(controller)
-        settled = _settled(controller)
+        settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
             raise TraceError("what it keeps between samples changes its form after the first one")
         changing = {key for key, each in kept.items() if each.op != "const"}
@@ -258,13 +260,13 @@ def trace(controller: Any, period: float, name: str) -> Program:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
             program.next = {}
-            _commands(_sample(again), program.next)
+            _commands(_sample(again, rig), program.next)
             after = _kept_by(again)
             more = {key for key, each in after.items() if key not in changing and each is not kept[key]}
             if not more:
                 break
             changing |= more
-        _check_settled(again)
+        _check_settled(again, rig)
     _fill(program, kept, after, changing, names)
     return program
 
@@ -274,7 +276,7 @@ def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
     return {(path, n): each for path, array in arrays.items() for n, each in enumerate(array.elements())}
 
 
-def _settled(controller: Any) -> Any:
+def _settled(controller: Any, rig: Scales) -> Any:
     """The controller some samples later, when the same arrays are the same objects from sample to sample: at the beginning a
     history may hold one array several times."""
     before: list[list[str]] = []
@@ -282,7 +284,7 @@ def _settled(controller: Any) -> Any:
         controller = copy.deepcopy(controller)
         kept = _kept_by(controller)
         _as_state(controller, set(kept), kept)
-        _sample(controller)
+        _sample(controller, rig)
         now = list(_together(controller).values())
         if now == before:
             return controller
@@ -327,11 +329,11 @@ def _as_state(
     return names
 
 
-def _check_settled(controller: Any) -> None:
+def _check_settled(controller: Any, rig: Scales) -> None:
     """A third sample has to change no plain value, or the program would be another one with time."""
     _, before = _arrays(controller)
     again = copy.deepcopy(controller)
-    _sample(again)
+    _sample(again, rig)
     _, after = _arrays(again)
     for path, value in after.items():
         if path not in before or (before[path] != value and before[path] == before[path]):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_env.envs.observation import FRAME, noise_levels
+from hydro_env.envs.observation import FRAME, noise_levels, scales_on
 from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
 from hydro_env.plant import CATALOGUE, Plant, PlantModel, Scales, load_model, scales_of
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
@@ -92,7 +92,8 @@ class LiveRig:
         self.reach = reach_of(self.model)
         self._offered = effects_offered()
         self.plant = Plant(self.model, 1, effects=self._offered)
-        self._levels = noise_levels(noise)
+        self.scales = scales_of(self.model)
+        self._levels = noise_levels(noise, self.scales)
         self._stream = np.random.default_rng(seed)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._drawn: dict[str, tuple[float, float]] = {}
@@ -171,9 +172,8 @@ class LiveRig:
         row["stuck_from"] = np.where(sticks[0], 0, NEVER)
         observation, true = np.zeros((1, FRAME), np.float32), np.zeros((1, TRUE))
         reward, ended = np.zeros(1), np.zeros((2, 1), np.bool_)
-        observe(
-            _ROW, self._state, self.plant.memory, self._where, np.zeros(4), observation, true, reward, *ended
-        )
+        sensing = np.append(scales_on(self.scales), np.zeros(5))
+        observe(_ROW, self._state, self.plant.memory, self._where, sensing, observation, true, reward, *ended)
         return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
 
     def hold(

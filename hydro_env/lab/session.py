@@ -122,7 +122,7 @@ class Session:
         """Follows a scenario from its beginning, over and over, or with `MANUAL` the set-point by hand. The rig runs on."""
         manual = name == MANUAL
         self._reference: Reference | None = (
-            None if manual else load_scenario(name).reference(PERIOD, self._stream())
+            None if manual else load_scenario(name, self._rig.scales).reference(PERIOD, self._stream())
         )
         self._row = 0
         self.settings = replace(self.settings, scenario=name)
@@ -268,6 +268,8 @@ class Session:
             return np.zeros(2)
 
     def _tell(self) -> None:
+        if hasattr(self._controller, "drives"):
+            self._controller.drives(self._rig.model)
         if self._needs != "measurements":
             self._controller.prepare(copy.deepcopy(self._rig.plant))
         if self._needs == "everything":

@@ -19,9 +19,9 @@ from .model import PlantModel, parameter_of
 from .model_files import load_model, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate
-from .scales import Scales, scales_of
+from .scales import PAPER, Scales, scales_of
 
 __all__ = [
-    "BUILT_IN", "CATALOGUE", "PARAMETERS", "SIGNALS", "Effect", "Parameter", "Plant", "PlantModel", "Scales",
+    "BUILT_IN", "CATALOGUE", "PAPER", "PARAMETERS", "SIGNALS", "Effect", "Parameter", "Plant", "PlantModel", "Scales",
     "State", "load_effects", "load_model", "parameter_of", "preset_names", "register", "scales_of", "simulate", "unregister",
 ]  # fmt: skip

@@ -13,10 +13,9 @@ import yaml
 from ..errors import InputError, suggestion
 from ..files import write_text
 from ..units import RPM
-from .catalogue import CATALOGUE
-from .parameters import PARAMETERS, Parameter
-from .scales import scales_of
-from .validation import check_channel, out_of_range
+from .catalogue import CATALOGUE, parameter_of
+from .parameters import PARAMETERS
+from .validation import check_channel, wrong_values
 
 __all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of", "ranges_of"]
 
@@ -29,21 +28,6 @@ VALVE_PARAMETERS = (
 )  # fmt: skip
 #: Ports whose effects belong to a valve. Driver, supply and orifice law (its supply pressure) are the rig's.
 VALVE_PORTS = ("coil", "force", "opening")
-
-
-def parameter_of(name: str) -> Parameter:
-    """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
-    if "." in name:
-        effect, own = name.split(".", 1)
-        if effect not in CATALOGUE:
-            raise InputError(f"unknown effect {effect!r}: {suggestion(effect, CATALOGUE)}")
-        known = {p.name: p for p in CATALOGUE[effect].parameters}
-        if own not in known:
-            raise InputError(f"effect {effect!r} has no parameter {own!r}: {suggestion(own, known)}")
-        return known[own]
-    if name not in PARAMETERS:
-        raise InputError(f"unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
-    return PARAMETERS[name]
 
 
 def ranges_of(
@@ -89,11 +73,8 @@ class PlantModel:
                 )
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
-        for channel in (0, 1):
-            scales = scales_of(self, channel)
-            for name, pair in clean.items():
-                if wrong := out_of_range(pair[channel], scales.parameter(parameter_of(name))):
-                    raise InputError(f"model {self.name!r}: {name}: {wrong}")
+        for name, _, wrong in wrong_values(self, clean):
+            raise InputError(f"model {self.name!r}: {name}: {wrong}")
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
         for channel in (0, 1):
             check_channel(self, channel, f"model {self.name!r}")

@@ -43,8 +43,7 @@ from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of, ranges_of
 from .parameters import PARAMETERS
-from .scales import scales_of
-from .validation import out_of_range
+from .validation import wrong_values
 
 __all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
 
@@ -154,10 +153,12 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
     try:
         for name, side, _, value in file.values():
             draft.put(name, side, value)
-        for name, side, place, value in file.values():
-            for channel in _SIDES[side]:
-                if wrong := out_of_range(value, scales_of(draft, channel).parameter(parameter_of(name))):
-                    raise InputError(f"{place}: {wrong}")
+        places = {
+            (name, channel): place for name, side, place, _ in file.values() for channel in _SIDES[side]
+        }
+        for name, channel, wrong in wrong_values(draft, dict.fromkeys(name for name, *_ in file.values())):
+            if (name, channel) in places:
+                raise InputError(f"{places[name, channel]}: {wrong}")
         for name in file.sources:
             if name not in CATALOGUE:
                 parameter_of(name)

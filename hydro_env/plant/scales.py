@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf, log10
 from typing import TYPE_CHECKING, Protocol
 
 from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
@@ -18,7 +18,7 @@ from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
 if TYPE_CHECKING:
     from .catalogue import Effect
 
-__all__ = ["Scales", "scales_of"]
+__all__ = ["PAPER", "Rig", "Scales", "scales_of"]
 
 #: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
 _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
@@ -47,6 +47,7 @@ _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
     "m3/(rad Pa)": {"displacement": 1, "pressure": -1},
     "Pa s2/m6": {"pressure": 1, "flow": -2},
     # shaft
+    "rpm": {"flow": 1, "displacement": -1},
     "rad/s": {"flow": 1, "displacement": -1},
     "kg m2": {"inertia": 1},
     "N m": {"displacement": 1, "pressure": 1},
@@ -55,6 +56,8 @@ _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
     "N m s2/rad2": {"displacement": 3, "pressure": 1, "flow": -2},
     "m3 s/rad2": {"displacement": 2, "flow": -1},
 }
+#: Preferred numbers of a decade.
+_R10 = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)
 #: Fields of `Scales` that each valve has of its own.
 _OF_VALVE = ("command", "current", "force", "travel")
 
@@ -110,17 +113,22 @@ class Scales:
         return effect if same else replace(effect, parameters=own)
 
 
-class _Rig(Protocol):
+#: Those of the paper's rig.
+PAPER = Scales()
+
+
+class Rig(Protocol):
     """What has values, as a model has."""
 
     def value(self, name: str, channel: int, /) -> float: ...
 
 
-def scales_of(model: _Rig, channel: int | None = None) -> Scales:
+def scales_of(model: Rig, channel: int | None = None) -> Scales:
     """The scales of a model: those of the valve of channel 0 or 1, of the larger one for None; flow, motor and supply are the
     rig's, for which the larger channel counts.
 
-    All but that of the command are rounded to two digits: they say how large a machine is, not how two of a kind differ.
+    All but that of the command are preferred numbers (ISO 3, R10): they say how large a machine is, not how two of a kind differ,
+    and a model that has been calibrated has the scales that it had before.
     """
     paper = _rated(lambda name: PARAMETERS[name].nominal if name in PARAMETERS else inf)
     both = [_rated(lambda name, c=c: model.value(name, c)) for c in (0, 1)]  # type: ignore[misc]
@@ -129,7 +137,13 @@ def scales_of(model: _Rig, channel: int | None = None) -> Scales:
         pair = [each[name] / one for each in both]
         found[name] = max(pair) if channel is None or name not in _OF_VALVE else pair[channel]
     command = found.pop("command")
-    return Scales(command, **{name: float(f"{ratio:.2g}") for name, ratio in found.items()})
+    return Scales(command, **{name: _preferred(ratio) for name, ratio in found.items()})
+
+
+def _preferred(ratio: float) -> float:
+    """The nearest preferred number."""
+    decade, place = divmod(round(10.0 * log10(ratio)), 10)
+    return float(f"{_R10[place]}e{decade}")
 
 
 def _rated(value: Callable[[str], float]) -> dict[str, float]:
@@ -145,5 +159,5 @@ def _rated(value: Callable[[str], float]) -> dict[str, float]:
         "flow": value("Kq") * travel,
         "displacement": value("D"),
         "inertia": value("J"),
-        "pressure": supply if isfinite(supply) else SUPPLY_PRESSURE.nominal,
+        "pressure": supply if 0.0 < supply < inf else SUPPLY_PRESSURE.nominal,
     }

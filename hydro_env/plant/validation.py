@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..units import with_unit
-from .catalogue import CATALOGUE
+from .catalogue import CATALOGUE, parameter_of
 from .friction import MAX_PEAK, MIN_FRICTION
 from .parameters import Parameter
+from .scales import PAPER, Rig, scales_of
 
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["accepted", "check_channel", "inside", "out_of_range"]
+__all__ = ["accepted", "check_channel", "inside", "out_of_range", "wrong_values"]
 
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
@@ -41,6 +43,19 @@ def inside(value: float, ends: tuple[float, float]) -> bool:
     """Whether a value is in a range, as far as rounding goes."""
     low, high = accepted(ends)
     return low <= value <= high
+
+
+def wrong_values(model: Rig, names: Iterable[str]) -> Iterator[tuple[str, int, str]]:
+    """Which of these values of a model are out of range on a rig of its size: name, channel, and what is wrong. Base parameters,
+    by which the size goes, come first."""
+    sizes = PAPER, PAPER
+    for name in sorted(names, key=lambda name: "." in name):
+        if "." in name and sizes[0] is PAPER:
+            sizes = scales_of(model, 0), scales_of(model, 1)
+        for channel in (0, 1):
+            p = sizes[channel].parameter(parameter_of(name))
+            if wrong := out_of_range(model.value(name, channel), p):
+                yield name, channel, wrong
 
 
 def check_channel(model: PlantModel, channel: int, where: str) -> None:

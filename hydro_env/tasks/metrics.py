@@ -19,7 +19,7 @@ __all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute", 
 
 Floats = NDArray[np.float64]
 
-#: The motors count as in step while their speeds differ by no more than this, rpm.
+#: The motors of the paper's rig count as in step while their speeds differ by no more than this, rpm.
 SETTLED_RPM = 10.0
 #: For so long (s) they have to, or they were not back in step: three periods of the spools' mode, so that passing through
 #: zero while ringing does not count.
@@ -36,6 +36,7 @@ class Trace:
     angle_difference_deg: (T, N), shaft 1 ahead of shaft 2 is positive
     command: (T, N, 2), fraction of the rated command, row n in force from row n on (a last row without effect may be
         missing: (T - 1, N, 2))
+    settled_rpm: while the speeds differ by no more than this, the motors count as in step
     """
 
     period: float
@@ -43,6 +44,7 @@ class Trace:
     speed_rpm: Floats
     angle_difference_deg: Floats
     command: Floats
+    settled_rpm: float = SETTLED_RPM
 
     @property
     def difference_rpm(self) -> Floats:
@@ -52,7 +54,7 @@ class Trace:
     @cached_property
     def longest_apart(self) -> tuple[Floats, NDArray[np.bool_]]:
         """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
-        apart = np.abs(self.difference_rpm) > SETTLED_RPM
+        apart = np.abs(self.difference_rpm) > self.settled_rpm
         enough = max(1, round(SETTLED_S / self.period))  # rows together that end a time out of step
         row, none = np.arange(len(apart), dtype=np.int32)[:, None], np.int32(-enough - 1)
         # Up to each row: the last row with the motors apart, and the row in which that time out of step began.
@@ -100,8 +102,8 @@ _ALL = (
     ),
     Metric(
         "sync_settling_time_s", "settling time of the speed difference", "s",
-        f"longest time out of step: from when the speeds differ by more than {SETTLED_RPM:g} rpm until they differ by no "
-        f"more for at least {SETTLED_S:g} s, or the episode ends",
+        f"longest time out of step: from when the speeds differ by more than {SETTLED_RPM:g} rpm (on another rig in proportion "
+        f"to its speed) until they differ by no more for at least {SETTLED_S:g} s, or the episode ends",
         lambda trace: trace.longest_apart[0],
     ),
     Metric(

@@ -24,14 +24,14 @@ from functools import cache
 from importlib import resources
 from math import inf, nan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from ..errors import InputError, InputWarning, shown, suggestion
-from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
+from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Component, Streams
@@ -82,16 +82,16 @@ class Range(FileTable):
     """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
     (`uniform`) or evenly in its logarithm (`loguniform`).
 
-    `at_most` names a parameter drawn before that lowers the upper end. `meant_for` says for which value of the plant's own
-    parameter the range holds: on a plant with another one, such as a coil of another voltage, what is drawn is scaled by the
-    plant's own value over `meant_for`.
+    `at_most` names a parameter drawn before that lowers the upper end. `meant_for` says for which plant the range holds, on
+    others what is drawn is scaled: "paper" for the paper's rig, by the size of the plant (`Scales`); a number is the value of the
+    plant's own parameter, which is divided by it.
     """
 
     fixed: Annotated[Any, AfterValidator(_two)] = None
     uniform: _Ends | None = None
     loguniform: _Ends | None = None
     at_most: str | None = None
-    meant_for: Annotated[Number, Field(gt=0.0)] | None = None
+    meant_for: Literal["paper"] | Annotated[Number, Field(gt=0.0)] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -138,7 +138,11 @@ class Range(FileTable):
 
     def scaled(self, name: str, drawn: Floats, model: PlantModel) -> Floats:
         """What was drawn (n, 2), as it is on a plant of this model."""
-        return drawn if self.meant_for is None else drawn * (np.array(model.pair(name)) / self.meant_for)
+        if self.meant_for is None:
+            return drawn
+        if self.meant_for == "paper":
+            return drawn * [scales_of(model, c).factor(parameter_of(name).unit) for c in (0, 1)]
+        return drawn * (np.array(model.pair(name)) / self.meant_for)
 
     def check(self, name: str, before: Mapping[str, Range]) -> None:
         """InputError for a range that this parameter, behind those above it, cannot have."""
@@ -412,7 +416,7 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
 def _unusual(name: str, given: Range) -> str:
     """What is beyond what the catalogue holds plausible, "" if nothing is; on the plant that the range is meant for."""
     p, ends = parameter_of(name), (min(given.low), max(given.high))
-    size = 1.0 if given.meant_for is None else given.meant_for / p.nominal
+    size = given.meant_for / p.nominal if isinstance(given.meant_for, float) else 1.0
     if all(end in (0.0, p.neutral) or size * p.low <= end <= size * p.high for end in ends):
         return ""
     found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"

@@ -5,13 +5,14 @@ A scenario is one of `SCENARIOS`, a mapping of step tables, or a `Scenario`:
     {"duration": 3.0, "setpoint_rpm": [[0.2, 400], [1.5, -100]], "load_Nm": [[1.0, 0.5, 0.0]]}
 
 Each row of a table is a time in s and what is in force from then on (zero before the first row); loads have one
-column per channel. A load acts against positive speed. Loads of the scenarios here are shares of `NOMINAL_TORQUE`.
+column per channel. A load acts against positive speed. Loads of the scenarios here are shares of `NOMINAL_TORQUE`. Their speeds
+and loads are those of the paper's rig; on another one they are scaled to its size, tables of one's own are not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from math import pi
 from typing import Annotated, Any
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from ..errors import InputError, shown, suggestion
+from ..plant import PAPER, Scales
 from ..streams import Component, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
@@ -52,7 +54,7 @@ class Scenario:
 
     A `random` scenario draws another course in each episode from `stream`, a NumPy generator; the others must not use it. One
     that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
-    (n, len(time), 2).
+    (n, len(time), 2). `speed` and `torque` are what the speeds and loads of the course are multiplied by.
     """
 
     name: str
@@ -61,6 +63,13 @@ class Scenario:
     course: Callable[[Floats, Any], tuple[Floats, Floats]]
     random: bool = False
     together: bool = False
+    speed: float = 1.0
+    torque: float = 1.0
+
+    def on(self, scales: Scales) -> Scenario:
+        """The scenario of the paper's rig on one of these scales, with 600 rpm there rounded to two digits here."""
+        speed = float(f"{600.0 * scales.speed:.2g}") / 600.0
+        return self if speed == scales.torque == 1.0 else replace(self, speed=speed, torque=scales.torque)
 
     def steps(self, period: float) -> int:
         """Number of control periods in an episode. InputError if not even one fits."""
@@ -78,14 +87,16 @@ class Scenario:
             setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
-        return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
+        return Reference(
+            np.asarray(setpoint, dtype=float) * RPM * self.speed, np.asarray(load, dtype=float) * self.torque
+        )
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
             setpoint, load = self.course(_grid(self.steps(period), period), streams)
-            return setpoint * RPM, load
+            return setpoint * RPM * self.speed, load * self.torque
         rows = range(len(streams)) if self.random else ()
         found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
         return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
@@ -217,8 +228,8 @@ _ALL: tuple[Scenario, ...] = (
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
 
 
-def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
-    """A scenario from its name, from step tables, or a scenario (returned as it is).
+def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = PAPER) -> Scenario:
+    """A scenario from its name, on a rig of these scales, from step tables, or a scenario (returned as it is).
 
     InputError, in one line that names the key, for anything that is not right.
     """
@@ -227,7 +238,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
     if isinstance(source, str):
         if source not in SCENARIOS:
             raise InputError(f"unknown scenario {shown(source)}: {suggestion(source, SCENARIOS)}")
-        return SCENARIOS[source]
+        return SCENARIOS[source].on(scales)
     if not isinstance(source, Mapping):
         raise InputError(
             f"scenario is {shown(source)}, expected a name ({', '.join(SCENARIOS)}) or a mapping of step tables"

@@ -30,10 +30,10 @@ def test_scales_are_one_on_the_presets_but_for_the_volts_of_the_rig(preset: str)
 def test_a_rig_that_is_scaled_by_similarity_has_every_effect_scaled_by_it() -> None:
     """The same share of the travel, of the rated flow, of the torque ... is usual whatever the size."""
     scales = scales_of(large())
-    assert scales.displacement == pytest.approx(5.9) and scales.pressure == 2.5 and scales.travel == 2.3
-    assert scales.torque == pytest.approx(5.9 * 2.5)
+    assert scales.displacement == 6.3 and scales.pressure == 2.5 and scales.travel == 2.5
+    assert scales.torque == pytest.approx(6.3 * 2.5)
     overlap = scales.effect(CATALOGUE["dead_zone"]).parameters[0]
-    assert overlap.typical == pytest.approx(2.3e-4) and overlap.high == pytest.approx(2.3 * 4.5e-4)
+    assert overlap.typical == pytest.approx(2.5e-4) and overlap.high == pytest.approx(2.5 * 4.5e-4)
     friction = scales.effect(CATALOGUE["motor_coulomb_friction"])
     assert friction.parameter("coulomb").typical == pytest.approx(0.3 * scales.torque)
     assert friction.parameter("stribeck_speed").nominal == pytest.approx(3.0 * scales.speed)
@@ -42,6 +42,14 @@ def test_a_rig_that_is_scaled_by_similarity_has_every_effect_scaled_by_it() -> N
     assert loss.typical * rated**2 / (2.5 * 100e5) == pytest.approx(
         4e13 * (0.5 * 24.5e-3 / 60.0) ** 2 / 100e5
     )
+
+
+def test_a_calibrated_model_keeps_the_scales_of_the_given_one() -> None:
+    given = load_model("paper_dead_zone")
+    for factor in (0.9, 1.1):
+        moved = {name: factor * given.value(name, 0) for name in ("Kq", "D", "J", "k", "R")}
+        for name, value in moved.items():
+            assert scales_of(given.with_values({name: value})) == scales_of(given)
 
 
 def test_neutral_values_stay_neutral() -> None:

@@ -29,7 +29,7 @@ class Compensated(CrossCoupled):
     valves: ValveMap | None = None
 
     def prepare(self, plant: Plant) -> None:
-        self.valves = on_the_bench(plant)
+        self.valves = on_the_bench(plant, self.scales.flow)
 
     def start(self, measured: Measurements) -> None:
         if self.valves is None:

@@ -32,6 +32,7 @@ class CrossCoupled(Controller):
     """
 
     FOLLOWING = (KP, TI, *COUPLING, FILTER)
+    similar = True
     GAINS: ClassVar[tuple[Gain, ...]] = (*FOLLOWING, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
@@ -69,6 +70,7 @@ class RelativeCoupled(Controller):
     (The weights are usually set by the ratio of the inertias; those of the two motors are equal.)
     """
 
+    similar = True
     GAINS = (
         KP,
         TI,
@@ -115,6 +117,7 @@ class VirtualLeader(CrossCoupled):
 class MasterSlave(Controller):
     """Motor 1 follows the smoothed set-point, motor 2 follows the measured speed of motor 1."""
 
+    similar = True
     GAINS = (
         KP,
         TI,

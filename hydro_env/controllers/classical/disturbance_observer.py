@@ -31,6 +31,7 @@ class DisturbanceObserver(Controller):
     Both motors follow one reference; `Ks` pulls each to the mean of both speeds.
     """
 
+    similar = True
     GAINS = (
         Gain("rate", "1/s", 8.0, 60.0, summary="double pole of the reference: 2 / rate is its mean delay"),
         Gain("Kp", "1/s", 1.0, 60.0, summary="acceleration per error to the reference speed"),

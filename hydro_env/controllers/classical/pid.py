@@ -35,7 +35,7 @@ RAMP = Gain("ramp", "rpm/s", 1000.0, 30000.0, summary="how fast the set-point is
 
 
 def per_rpm(gain: ArrayLike) -> Floats:
-    """A gain in V/rpm as a fraction of the rated command per rad/s."""
+    """A gain in V/rpm on the paper's rig as a fraction of the rated command per rad/s."""
     return np.asarray(gain, dtype=float) * FRACTION_PER_V / RPM
 
 
@@ -81,6 +81,7 @@ class PidController(Controller):
     """A PID on each motor's speed, which knows nothing of the other motor: the paper's own control concept."""
 
     GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, TD, *OUTPUT_SHAPING)
+    similar = True
 
     def start(self, measured: Measurements) -> None:
         kp, ti, td = per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"]

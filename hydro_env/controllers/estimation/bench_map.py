@@ -19,11 +19,12 @@ UNREAD = ((0.1, 0.8), (0.1, 0.8))
 """Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
 
 
-def on_the_bench(plant: Plant) -> ValveMap:
+def on_the_bench(plant: Plant, flow: float = 1.0) -> ValveMap:
     """What the valve bench finds of both valves of every rig: a slow sweep of each, its dead zones and normal flow gains
-    as `hydro-env valve-test` reports them. Nothing else of the plant is looked at; its state is used up: pass a copy.
+    as `hydro-env valve-test` reports them, for a rig with `flow` times the rated flow of the paper's. Nothing else of the plant
+    is looked at; its state is used up: pass a copy.
     """
-    found = _measured(_Rigs(plant))
+    found = _measured(_Rigs(plant), flow)
     return ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
 
 
@@ -42,12 +43,12 @@ class _Rigs:
 
 
 @lru_cache(maxsize=8)  # the same pairs come back in every scenario of a suite, for every controller
-def _measured(rigs: _Rigs) -> Floats:
+def _measured(rigs: _Rigs, flow: float) -> Floats:
     """Edge and gain, (num_rigs, 2 channels, 2 sides, 2)."""
-    return np.array([[_read(curve) for curve in pair] for pair in record_rigs(rigs.plant)])
+    return np.array([[_read(curve, flow * RATED_FLOW) for curve in pair] for pair in record_rigs(rigs.plant)])
 
 
-def _read(curve: Curve) -> tuple[tuple[float, float], ...]:
+def _read(curve: Curve, rated_flow: float) -> tuple[tuple[float, float], ...]:
     """Edge and gain of a valve each way, as shares of its rated command and of the rated flow over that."""
     try:
         found = sides_of(curve, loop_of(curve))
@@ -55,6 +56,6 @@ def _read(curve: Curve) -> tuple[tuple[float, float], ...]:
         return UNREAD
     sides = (found[1], found[-1])
     return tuple(
-        missing if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / RATED_FLOW)
+        missing if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / rated_flow)
         for side, missing in zip(sides, UNREAD, strict=True)
     )

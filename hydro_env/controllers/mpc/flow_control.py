@@ -51,6 +51,7 @@ SEARCH = Gain(
 class ProbingFlow(Controller):
     """Probes the valves at rest. The drawn valves are unknown to it, the paper's motor is known."""
 
+    similar = True
     GAINS: ClassVar[tuple[Gain, ...]] = (RATE, RISE, FALL, SWEEP, SEARCH)
     settings = FlowSettings()
     """Beneath the gains."""
@@ -133,7 +134,7 @@ class BenchFlow(ProbingFlow):
     valves: ValveMap | None = None
 
     def prepare(self, plant: Plant) -> None:
-        self.valves = on_the_bench(plant)
+        self.valves = on_the_bench(plant, self.scales.flow)
 
     def _begun(self, measured: Measurements) -> FlowController:
         if self.valves is None:

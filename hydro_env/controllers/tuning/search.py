@@ -29,7 +29,7 @@ from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, place_of
-from hydro_env.plant import load_model, simulate
+from hydro_env.plant import PAPER, load_model, scales_of, simulate
 from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.units import RPM
 
@@ -87,13 +87,14 @@ class Search:
     progress: bool = True
 
 
-def cost(metrics: dict[str, Floats], weight: float, calm: bool = True) -> Floats:
-    """Cost of every episode in rpm; the RMS of the difference and the variation of the command only count with `calm`."""
+def cost(metrics: dict[str, Floats], weight: float, calm: bool = True, speed: float = 1.0) -> Floats:
+    """Cost of every episode in rpm, on a rig of this scale of speed; the RMS of the difference and the variation of the command
+    only count with `calm`."""
     peak, tracking = metrics["max_speed_difference_rpm"], metrics["tracking_mae_rpm"]
     if not calm:
         return tracking + weight * peak
     apart = peak + RMS * metrics["rms_speed_difference_rpm"]
-    return tracking + weight * apart + WEAR * metrics["command_variation"]
+    return tracking + weight * apart + speed * WEAR * metrics["command_variation"]
 
 
 def costs_of(
@@ -105,13 +106,13 @@ def costs_of(
     bar: tqdm | None = None,
 ) -> Floats:
     """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
-    total = np.zeros(count)
+    total, size = np.zeros(count), scales_of(load_model(task.plant))
     for scenario in task.scenarios:
         done = roll_out(
             controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
             control_period=period, dtype="float32",
         )  # fmt: skip
-        costs = cost(done.metrics(COSTS), task.weight, task.calm)
+        costs = cost(done.metrics(COSTS), task.weight, task.calm, size.speed)
         total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
         if bar is not None:
             bar.update(len(costs))
@@ -133,7 +134,7 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
         """Costs (candidates,) of genes (gains, candidates), all candidates and pairs in one batch."""
         count = genes.shape[1]
         columns = np.repeat(_values(law, genes), cases, axis=1)[:, :, None]
-        tried = law(task.law, **dict(zip(names, columns, strict=True)))
+        tried = law(task.law, **dict(zip(names, columns, strict=True))).carry()
         return costs_of(tried, count, task, seeds, wanted.period, bar)
 
     bounds = _bounds(law)
@@ -149,9 +150,12 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
             rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
-    gains = {key: float(f"{value:.4g}") for key, value in zip(names, _values(law, found.x), strict=True)}
-    if gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
-        del gains["slew"]  # the whole range within one period: no limit
+    best = dict(zip(names, _values(law, found.x), strict=True))
+    if best.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
+        del best["slew"]  # the whole range within one period: no limit
+    size = scales_of(load_model(task.plant)) if law.similar else PAPER
+    sizes = {gain.name: gain.size(size) for gain in law.GAINS}
+    gains = {key: float(f"{value * sizes[key]:.4g}") for key, value in best.items()}
     trials, spent = POPULATION * found.nfev, generation * found.nfev  # SciPy counts generations
     done = {"trials": trials, "episodes": spent, "cost_rpm": float(f"{found.fun:.5g}")}
     return {"gains": gains, "tuning": _account(wanted, task, generations, near is not None) | done}

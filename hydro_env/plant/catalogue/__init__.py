@@ -25,7 +25,17 @@ from . import (
     sensor,
     supply,
 )  # fmt: skip
-from .effect import CATALOGUE, PORTS, QUANTITIES, Effect, State, register, separating_experiment, unregister
+from .effect import (
+    CATALOGUE,
+    PORTS,
+    QUANTITIES,
+    Effect,
+    State,
+    parameter_of,
+    register,
+    separating_experiment,
+    unregister,
+)
 
 __all__ = [
     "BUILT_IN",
@@ -34,6 +44,7 @@ __all__ = [
     "QUANTITIES",
     "Effect",
     "State",
+    "parameter_of",
     "register",
     "separating_experiment",
     "unregister",

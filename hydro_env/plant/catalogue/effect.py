@@ -28,11 +28,12 @@ from functools import lru_cache
 from types import FunctionType
 from typing import Any
 
-from ..parameters import Parameter
+from ...errors import InputError, suggestion
+from ..parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "register",
-    "separating_experiment", "unregister",
+    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "parameter_of",
+    "register", "separating_experiment", "unregister",
 ]  # fmt: skip
 
 #: Ports in the order in which the signal passes them.
@@ -225,3 +226,18 @@ def unregister(name: str) -> None:
 def separating_experiment(first: str, second: str) -> str:
     """The experiment under which two effects, by name, differ; "" where the catalogue knows none."""
     return CATALOGUE[first].separated_by.get(second, "") or CATALOGUE[second].separated_by.get(first, "")
+
+
+def parameter_of(name: str) -> Parameter:
+    """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
+    if "." in name:
+        effect, own = name.split(".", 1)
+        if effect not in CATALOGUE:
+            raise InputError(f"unknown effect {effect!r}: {suggestion(effect, CATALOGUE)}")
+        known = {p.name: p for p in CATALOGUE[effect].parameters}
+        if own not in known:
+            raise InputError(f"effect {effect!r} has no parameter {own!r}: {suggestion(own, known)}")
+        return known[own]
+    if name not in PARAMETERS:
+        raise InputError(f"unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
+    return PARAMETERS[name]
