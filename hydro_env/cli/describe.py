@@ -16,10 +16,13 @@ __all__ = ["describe"]
 
 def describe(
     sheet: Annotated[
-        Path | None, Argument(metavar="[SHEET.yaml]", help="Data sheet of the rig. Without one, questions are asked.")
+        Path | None,
+        Argument(metavar="[SHEET.yaml]", help="Data sheet of the rig. Without one, questions are asked."),
     ] = None,
     out: Annotated[Path | None, Option("--out", help="Folder to write to; created if needed.")] = None,
-    empty: Annotated[bool, Option("--template", help="Print an empty data sheet with all keys, and end.")] = False,
+    empty: Annotated[
+        bool, Option("--template", help="Print an empty data sheet with all keys, and end.")
+    ] = False,
 ) -> None:
     """Make a model from data sheets.
 
@@ -38,9 +41,7 @@ def describe(
         raise InputError(
             "name a data sheet (`hydro-env describe --template` prints an empty one); questions need a terminal"
         )
-    given, answers = (
-        (data_sheet.read_sheet(sheet), "") if sheet else data_sheet.ask(out / "data_sheet.yaml")
-    )
+    given, answers = (data_sheet.read_sheet(sheet), "") if sheet else data_sheet.ask(out / "data_sheet.yaml")
     with writing(out) as folder:
         if answers:
             write_text(folder / "data_sheet.yaml", answers)

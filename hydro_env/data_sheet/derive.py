@@ -3,8 +3,8 @@
 What no formula gives (how far hysteresis, step response and frequencies follow from friction, damping and the coil together) is
 left to `Fitted`, numbers by which `fit.py` makes the simulated data sheet that of the paper.
 
-Logs and data sheets fix only ratios of spool mass, spring, force and friction (`plant.parameters.SCALINGS`). Here the spring is the
-base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's power.
+Logs and data sheets fix only ratios of spool mass, spring, force and friction (`plant.parameters.SCALINGS`). Here the spring is
+the base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's power.
 """
 
 from __future__ import annotations
@@ -84,10 +84,13 @@ def full_flow(q: Mapping[str, float]) -> float:
 
 
 def parameters(
-    q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float] | None = None, other_flow: float | None = None
+    q: Mapping[str, float],
+    fitted: Fitted,
+    scale_of: Mapping[str, float] | None = None,
+    other_flow: float | None = None,
 ) -> dict[str, float]:
-    """The values of one channel by name, SI. `scale_of` are values whose spring and rated travel are kept; `other_flow` is the full
-    flow of the other channel, m3/s (None: the same)."""
+    """The values of one channel by name, SI. `scale_of` are values whose spring and rated travel are kept; `other_flow` is the
+    full flow of the other channel, m3/s (None: the same)."""
     both = full_flow(q) * 2.0 if other_flow is None else full_flow(q) + other_flow
     return {**_valve(q, fitted, scale_of), **_motor(q), **_lines(q), **_supply(q, both)}
 
@@ -110,12 +113,13 @@ def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float]
     dry = 0.5 * loop * q["friction_share"]
     bristle = max(dry / (travel * 1.2e-3), PARAMETERS["s0"].possible[0])
     lag = (q.get("coil_lag", 0.0) if fitted.coil_lag is None else fitted.coil_lag) / omega
+    inductance = q["coil_inductance_mH"] / 1000.0 if "coil_inductance_mH" in q else lag * resistance
     overlap = q["dead_band_percent"] / 100.0 * travel
     drop = math.sqrt(q["pressure_bar"] * BAR / total_drop(q))
     size = travel / (base["alpha"] * base["u_rated"] / base["R"] / base["k"])
     return {
         "m": m, "R": resistance, "alpha": alpha, "k": k, "u_rated": q["volts"],
-        "L": max(q["coil_inductance_mH"] / 1000.0 if "coil_inductance_mH" in q else lag * resistance, PARAMETERS["L"].possible[0]),
+        "L": max(inductance, PARAMETERS["L"].possible[0]),
         "C": max(2.0 * damping * m * omega - alpha**2 / resistance, 0.0),
         "Kq": fitted.flow * q["rated_flow_lpm"] * LPM / (travel - overlap) * drop,
         "Fc": dry, "Fs": dry * (1.0 if q["friction_share"] == 1.0 else 1.5), "vs": base["vs"] * size,
@@ -141,7 +145,9 @@ def _motor(q: Mapping[str, float]) -> dict[str, float]:
     lost = (1.0 - q["mechanical_efficiency_percent"] / 100.0) * displacement * pressure
     dry = q["dry_share"] * lost
     if "starting_torque_percent" in q:
-        static = (1.0 - q["starting_torque_percent"] / 100.0) * displacement * q["starting_torque_at_bar"] * BAR
+        static = (
+            (1.0 - q["starting_torque_percent"] / 100.0) * displacement * q["starting_torque_at_bar"] * BAR
+        )
         dry = min(dry, static)
     else:
         static = q["static_over_dry"] * dry
@@ -178,6 +184,6 @@ def _lines(q: Mapping[str, float]) -> dict[str, float]:
 def _supply(q: Mapping[str, float], flow_of_both: float) -> dict[str, float]:
     return {
         "pressure_dependent_flow.supply_pressure": q["pressure_bar"] * BAR,
-        "supply_droop.relative_drop": q["droop_percent"] / 100.0 / steady_droop(flow_of_both, 0.0, 1.0),
+        "supply_droop.relative_drop": q["droop_percent"] / 100.0 / steady_droop(flow_of_both, 0.0, 1.0),  # type: ignore[no-untyped-call]
         "supply_droop.time_constant": q["droop_ms"] * MILLISECOND,
     }

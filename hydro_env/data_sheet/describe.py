@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,18 +101,23 @@ def describe(sheet: DataSheet) -> Described:
         del channels[1]
     simulated = {}
     for c in channels:
-        c.fitted, simulated[c.number] = fit(c.q, c.number, lambda fitted, c=c: _model(sheet, [c.parameters(fitted)]))
+        c.fitted, simulated[c.number] = fit(c.q, c.number, partial(_one_model, sheet, c))
     model = _model(sheet, [c.parameters() for c in channels])
     figures = []
     for c in channels:
         found = {**simulated[c.number], **motor_figures(model, c.number, c.q), **rig_figures(model, c.number)}
         for key, value in found.items():
             given = c.known.get(key)
-            figures.append(Figure(c.number + 1, key, given and given.value, bool(given and given.assumed), value))
+            printed = None if given is None else given.value
+            figures.append(Figure(c.number + 1, key, printed, given is not None and given.assumed, value))
     assumptions = [row for c in channels for row in _assumptions(c)]
     return Described(
         replace(model, ranges=_ranges(model, channels, assumptions)), _sources(sheet, channels), figures, assumptions
     )  # fmt: skip
+
+
+def _one_model(sheet: DataSheet, c: _Channel, fitted: Fitted) -> PlantModel:
+    return _model(sheet, [c.parameters(fitted)])
 
 
 def _model(sheet: DataSheet, channels: list[dict[str, float]]) -> PlantModel:
@@ -131,8 +136,12 @@ def _assumptions(c: _Channel) -> list[Assumption]:
         if quantity.low is None or quantity.high is None or getattr(c.fitted, key, None) is not None:
             continue
         ends = [c.moved(key, end) for end in (quantity.low, quantity.high)]
-        names = tuple(n for n, v in nominal.items() if any(not math.isclose(e[n], v, rel_tol=1e-9) for e in ends))
-        rows.append(Assumption(c.number + 1, key, quantity.value, quantity.low, quantity.high, quantity.why, names))
+        names = tuple(
+            n for n, v in nominal.items() if any(not math.isclose(e[n], v, rel_tol=1e-9) for e in ends)
+        )
+        rows.append(
+            Assumption(c.number + 1, key, quantity.value, quantity.low, quantity.high, quantity.why, names)
+        )
     return [row for row in rows if row.parameters or row.low == row.high]
 
 
@@ -156,7 +165,8 @@ def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
     """Where each value is from: how, and from which keys of the sheet and which assumptions."""
     texts: dict[str, dict[str, None]] = {}
     for c in channels:
-        nominal, used = c.parameters(), {name: [] for name in c.parameters()}
+        nominal = c.parameters()
+        used: dict[str, list[str]] = {name: [] for name in nominal}
         for key, quantity in c.known.items():
             near = c.moved(key, 1.01 * quantity.value or 0.01)
             text = f"{key} {quantity.value:.4g}" + " (assumed)" * quantity.assumed
@@ -192,13 +202,15 @@ def _text(found: Described) -> str:
         of = f" {f.channel}" if len(channels) > 1 else ""
         lines.append(f"  {f.key + of:34}{given:>12}{f.simulated:>12.4g}{mark}")
     if any(f.marked for f in found.figures):
-        lines.append("No model of this kind does all that the sheet says: check the marked figures and their conditions.")
+        lines.append(
+            "No model of this kind does all that the sheet says: check the marked figures and their conditions."
+        )
     lines.append("\nassumed, as the sheet does not say; what is measured instead goes into the sheet")
-    rows: dict[tuple[object, ...], list[int]] = {}
+    rows: dict[tuple[Any, ...], list[int]] = {}
     for row in found.assumptions:
         rows.setdefault((row.key, row.value, row.low, row.high, row.why), []).append(row.channel)
-    for (key, value, low, high, why), of in rows.items():
-        name = f"{key} {of[0]}" if len(of) < len(channels) else key
+    for (key, value, low, high, why), at in rows.items():
+        name = f"{key} {at[0]}" if len(at) < len(channels) else key
         span = "" if low == high else f"{low:.4g} to {high:.4g}"
         lines.append(f"  {name:34}{value:>12.4g}  {span:20}{why}")
     return "\n".join(lines)

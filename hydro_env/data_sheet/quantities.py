@@ -146,13 +146,17 @@ def _of_valve(known: _Known, valve: Valve) -> None:
     if volts is None:
         ohm = valve.coil_resistance_Ohm
         known.give("volts", ampere * ohm if ohm else None)
-        known.assume("volts", 10.0, 10.0, 10.0, "a scale only: the model's command in V, in proportion to the current")
+        known.assume(
+            "volts", 10.0, 10.0, 10.0, "a scale only: the model's command in V, in proportion to the current"
+        )
     else:
         known.give("volts", volts)
     known.give("ampere", ampere or None)
     if valve.coil_resistance_Ohm and not valve.onboard_electronics:
         known.give("ampere", known["volts"].value / valve.coil_resistance_Ohm)
-    known.assume("ampere", 0.73, 0.73, 0.73, "a scale only: the current behind an amplifier's input is not the sheet's")
+    known.assume(
+        "ampere", 0.73, 0.73, 0.73, "a scale only: the current behind an amplifier's input is not the sheet's"
+    )
     if valve.coil_inductance_mH:
         del known["coil_lag"]
 
@@ -180,7 +184,9 @@ def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
 def _of_lines(known: _Known, lines: Lines) -> None:
     known.assume("length_m", 0.3, 1.0, 3.0)
     bore = 1000.0 * math.sqrt(4.0 * full_flow(known) / (math.pi * _OIL_SPEED))
-    known.assume("bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil")
+    known.assume(
+        "bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
+    )
     known.assume_class(_WALLS, lines.kind, "rubber")
     known.assume("fittings", 3.0, 10.0, 30.0, f"{_RULE}: loss coefficient of ports and couplings of one line")
     if lines.crossport_relief_bar:

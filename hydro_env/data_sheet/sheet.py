@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import yaml
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from hydro_env.errors import InputError, shown
@@ -48,7 +48,9 @@ class Valve(_Table):
 
     rated_flow_lpm: Positive = _key("rated flow, l/min", ...)
     at_pressure_drop_bar: Positive = _key("pressure drop at which that is the flow, bar", ...)
-    pressure_drop_over: Literal["valve", "edge"] | None = _key("drop over the whole valve, or one edge (P to A)")
+    pressure_drop_over: Literal["valve", "edge"] | None = _key(
+        "drop over the whole valve, or one edge (P to A)"
+    )
     rated_command_V: Positive | None = _key("rated command, V: of the amplifier's input, else at the coil")
     rated_command_mA: Positive | None = _key("rated current, mA")
     coil_resistance_Ohm: Positive | None = _key("resistance of the coil, warm, Ohm")
@@ -178,7 +180,9 @@ def template() -> str:
     """An empty data sheet with a comment at each key."""
     lines = [f"schema: {DataSheet.FORMAT}", "name: my rig"]
     for name, table in _TABLES.items():
-        lines.append(f"{name}:" if any(f.is_required() for f in table.model_fields.values()) else f"# {name}:")
+        lines.append(
+            f"{name}:" if any(f.is_required() for f in table.model_fields.values()) else f"# {name}:"
+        )
         for key, field in table.model_fields.items():
             needed = "needed: " if field.is_required() else ""
             lines.append(f"  {'' if needed else '# '}{key}:  # {needed}{field.description}{_choices(field)}")
@@ -188,7 +192,10 @@ def template() -> str:
 def ask(where: Path) -> tuple[DataSheet, str]:
     """Asks for all of it on the terminal; the sheet, and the text of its file. `where` names it in errors."""
     print("What is not known is left empty. Units are those of the question.")
-    data: dict[str, Any] = {"schema": DataSheet.FORMAT, "name": input("name of the rig: ").strip() or "my rig"}
+    data: dict[str, Any] = {
+        "schema": DataSheet.FORMAT,
+        "name": input("name of the rig: ").strip() or "my rig",
+    }
     for name, table in _TABLES.items():
         print(f"\n{(table.__doc__ or name).strip()}")
         if answers := _asked_table(name, table):
@@ -198,7 +205,7 @@ def ask(where: Path) -> tuple[DataSheet, str]:
 
 def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
     while True:
-        asked = {key: _asked(key, field) for key, field in table.model_fields.items()}
+        asked = {key: _asked(table, key, field) for key, field in table.model_fields.items()}
         answers = {key: value for key, value in asked.items() if value is not None}
         try:
             checked(table, answers, name)
@@ -207,7 +214,7 @@ def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
             print(f"  {problem}; once more:")
 
 
-def _asked(key: str, field: FieldInfo) -> Any:
+def _asked(table: type[_Table], key: str, field: FieldInfo) -> Any:
     while True:
         needed = " (needed)" if field.is_required() else ""
         text = input(f"  {field.description}{_choices(field)}{needed}: ").strip()
@@ -215,11 +222,9 @@ def _asked(key: str, field: FieldInfo) -> Any:
             return None
         try:
             value = text if field.annotation is str else parse_yaml(text, key)
-            TypeAdapter(Annotated[field.annotation, field]).validate_python(value)
+            table.__pydantic_validator__.validate_assignment(table.model_construct(), key, value)
             return value
         except InputError as problem:
             print(f"  {problem}")
         except ValidationError as problem:
             print(f"  {shown(text)}: {problem.errors()[0]['msg']}")
-
-

@@ -77,25 +77,29 @@ def dynamics_of(model: PlantModel, channel: int, q: Mapping[str, float]) -> dict
     own = math.sqrt(model.value("k", channel) / model.value("m", channel)) / (2.0 * math.pi)
     rated = model.value("u_rated", channel)
     period = 1.0 / (own * 200.0)
-    command = np.zeros((4000, 2))
+    command, frequencies = np.zeros((4000, 2)), np.array(own * _SHARES, np.float64)
     command[:, channel] = rated
     spool = simulate(alone, command, None, period, record=("spool",))["spool"][:, 0, channel]
     share = min(q["step_response_to_percent"] / 100.0, 0.98)  # 100 %: within 2 %
-    gain, phase = _response(alone, channel, own * _SHARES, rated * q["frequency_amplitude_percent"] / 100.0)
+    gain, phase = _response(alone, channel, frequencies, rated * q["frequency_amplitude_percent"] / 100.0)
     return {
         "step_response_ms": _crossing(np.arange(4000) * period, spool / spool[-1], share) / MILLISECOND,
-        "frequency_minus_3_dB_Hz": _crossing(own * _SHARES, -gain / gain[0], -_MINUS_3_DB),
-        "frequency_minus_90_deg_Hz": _crossing(own * _SHARES, -phase, 0.5 * math.pi),
+        "frequency_minus_3_dB_Hz": _crossing(frequencies, -gain / gain[0], -_MINUS_3_DB),
+        "frequency_minus_90_deg_Hz": _crossing(frequencies, -phase, 0.5 * math.pi),
     }
 
 
-def _response(model: PlantModel, channel: int, frequencies: Floats, amplitude: float) -> tuple[Floats, Floats]:
+def _response(
+    model: PlantModel, channel: int, frequencies: Floats, amplitude: float
+) -> tuple[Floats, Floats]:
     """Amplitude and phase (rad) of the spool at sines of the command, each frequency on a rig of its own."""
     period = 1.0 / (frequencies[-1] * _POINTS)
     time = np.arange(math.ceil(_PERIODS / frequencies[0] / period)) * period
     command = np.zeros((len(time), len(frequencies), 2))
     command[:, :, channel] = amplitude * np.sin(2.0 * math.pi * frequencies * time[:, None])
-    spool = simulate(model, command, None, period, num_rigs=len(frequencies), record=("spool",))["spool"][:, :, channel]
+    spool = simulate(model, command, None, period, num_rigs=len(frequencies), record=("spool",))["spool"][
+        :, :, channel
+    ]
     last = time >= time[-1] / _PERIODS
     found = np.empty(len(frequencies), complex)
     for n, frequency in enumerate(frequencies):

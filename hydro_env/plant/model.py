@@ -17,7 +17,15 @@ from .catalogue import CATALOGUE, parameter_of
 from .parameters import PARAMETERS
 from .validation import check_channel, wrong_values
 
-__all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of", "ranges_of"]
+__all__ = [
+    "SCHEMA",
+    "TOLERANCE",
+    "VALVE_PARAMETERS",
+    "VALVE_PORTS",
+    "PlantModel",
+    "parameter_of",
+    "ranges_of",
+]
 
 SCHEMA = "hydro_env/model/1"
 #: Error of a speed, rad/s, by which a model that says nothing else chooses its steps: 0.1 rpm.
@@ -34,7 +42,11 @@ def ranges_of(
     ranges: Mapping[str, tuple[float, float]], values: Mapping[str, Sequence[float]]
 ) -> dict[str, tuple[float, float]]:
     """The ranges, by name, that hold the values of that name, if there are any."""
-    return {n: (low, high) for n, (low, high) in ranges.items() if all(low <= v <= high for v in values.get(n, ()))}
+    return {
+        n: (low, high)
+        for n, (low, high) in ranges.items()
+        if all(low <= v <= high for v in values.get(n, ()))
+    }
 
 
 @dataclass(frozen=True)
@@ -44,8 +56,8 @@ class PlantModel:
     Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
     there with neutral values (then it may be varied later). `tolerance` is the error of a speed, rad/s, by which the steps of
     the integrator are chosen. `ranges` are what is known beforehand of some of the values, (least, greatest) on either channel; a
-    value that is changed to one outside loses its range. InputError for unknown names, values that are no numbers, those outside of
-    what a component can have (`Parameter.possible`), and a range that does not hold its value.
+    value that is changed to one outside loses its range. InputError for unknown names, values that are no numbers, those outside
+    of what a component can have (`Parameter.possible`), and a range that does not hold its value.
     """
 
     name: str = "nominal"
@@ -89,7 +101,9 @@ class PlantModel:
         low, high = self.ranges[name]
         for value in self.pair(name):
             if not low <= value <= high:
-                raise InputError(f"ranges: {name} is {value:g}, outside of its own range of {low:g} to {high:g}")
+                raise InputError(
+                    f"ranges: {name} is {value:g}, outside of its own range of {low:g} to {high:g}"
+                )
 
     @property
     def channels(self) -> tuple[dict[str, float], dict[str, float]]:

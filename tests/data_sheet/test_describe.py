@@ -72,7 +72,8 @@ def test_least_sheet_is_enough_and_what_it_lacks_is_said(least: Described) -> No
 
 def test_what_the_sheet_gives_is_no_assumption(least: Described) -> None:
     told = made(
-        motor={"inertia_kgm2": 0.01}, valve={"pressure_drop_over": "edge", "rated_command_mA": 800, "coil_resistance_Ohm": 12.5}
+        motor={"inertia_kgm2": 0.01},
+        valve={"pressure_drop_over": "edge", "rated_command_mA": 800, "coil_resistance_Ohm": 12.5},
     )
     assert told.model.pair("J") == (0.01, 0.01) and "J" not in told.model.ranges
     assert told.model.value("R", 0) == pytest.approx(12.5)
@@ -116,7 +117,9 @@ def test_template_has_every_key_and_is_read_when_filled_in() -> None:
     for key in ("hysteresis_percent", "starting_torque_Nm", "crossport_relief_bar", "bulk_modulus_bar"):
         assert f"# {key}:" in text
     filled = text.replace("rated_flow_lpm:", "rated_flow_lpm: 16").replace("drop_bar:", "drop_bar: 10")
-    filled = filled.replace("displacement_cm3:", "displacement_cm3: 16").replace("  pressure_bar:", "  pressure_bar: 100")
+    filled = filled.replace("displacement_cm3:", "displacement_cm3: 16").replace(
+        "  pressure_bar:", "  pressure_bar: 100"
+    )
     filled = filled.replace("# rated_command_V:", "rated_command_V: 10")
     checked(DataSheet, yaml.safe_load(filled), "template")
 
@@ -149,7 +152,14 @@ def test_calibration_keeps_to_the_ranges_of_a_described_model(least: Described, 
     log = tmp_path / "log.csv"
     columns = [time, command[:, 0], out["speed"][:, 0, 0] / RPM + noise.normal(size=len(time)),
                out["pressure"][:, 0, 0] / BAR + 0.1 * noise.normal(size=len(time))]  # fmt: skip
-    np.savetxt(log, np.column_stack(columns), "%.6g", ",", header="time_s,command_1_V,speed_1_rpm,pressure_1_bar", comments="")
+    np.savetxt(
+        log,
+        np.column_stack(columns),
+        "%.6g",
+        ",",
+        header="time_s,command_1_V,speed_1_rpm,pressure_1_bar",
+        comments="",
+    )
     found = estimate([log], given, parameters=["J"])
     assert found.parameters["J_1"].estimate.value == pytest.approx(true.value("J", 0), rel=0.03)
     narrow = replace(given, ranges={"J": (0.9 * given.value("J", 0), 1.1 * given.value("J", 0))})
