@@ -39,13 +39,13 @@ from hydro_env.cli.help import examples as examples_by_command
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
+from hydro_env.data_sheet import sheet
 from hydro_env.diagnosis import STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
 from hydro_env.experiments.naming_benchmark import scoring
 from hydro_env.measured import mapping
-from hydro_env.data_sheet import sheet
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
 from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows

@@ -4,7 +4,8 @@ What no formula gives (how far hysteresis, step response and frequencies follow 
 left to `Fitted`, numbers by which `fit.py` makes the simulated data sheet that of the paper.
 
 Logs and data sheets fix only ratios of spool mass, spring, force and friction (`plant.parameters.SCALINGS`). Here the spring is
-the base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's power.
+the base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's
+power.
 """
 
 from __future__ import annotations

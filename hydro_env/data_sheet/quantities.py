@@ -18,7 +18,7 @@ __all__ = ["Quantity", "quantities"]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number in the unit that its key ends in. `low` and `high` are None for what the sheet gives; `why` says where it is from."""
+    """A number in the unit that its key ends in. `low` and `high` are None for what the sheet gives; `why` for the rest."""
 
     value: float
     low: float | None = None

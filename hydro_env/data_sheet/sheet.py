@@ -222,9 +222,12 @@ def _asked(table: type[_Table], key: str, field: FieldInfo) -> Any:
             return None
         try:
             value = text if field.annotation is str else parse_yaml(text, key)
-            table.__pydantic_validator__.validate_assignment(table.model_construct(), key, value)
-            return value
+            table.model_validate({key: value})
         except InputError as problem:
             print(f"  {problem}")
-        except ValidationError as problem:
-            print(f"  {shown(text)}: {problem.errors()[0]['msg']}")
+            continue
+        except ValidationError as problem:  # what else the table needs is asked for later
+            if wrong := [error["msg"] for error in problem.errors() if error["loc"][:1] == (key,)]:
+                print(f"  {shown(text)}: {wrong[0]}")
+                continue
+        return value

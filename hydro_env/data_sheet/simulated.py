@@ -1,4 +1,4 @@
-"""The data sheet of a model, measured on the simulated plant as a test bench would: valves as in ISO 10770-1, motors as in ISO 4409.
+"""The data sheet of a model, measured on the simulated plant as a test bench would: the valves as in ISO 10770-1.
 
 Keys are those of the data sheets; what no sheet has is `no_load_speed_rpm` and `stall_pressure_bar` of the whole rig.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ def _response(
     return np.abs(found), np.unwrap(np.angle(found))
 
 
-def _crossing(x: Floats, y: Floats, level: float) -> float:
+def _crossing(x: NDArray[Any], y: NDArray[Any], level: float) -> float:
     """Where a signal first reaches a level from below, between the points."""
     above = np.flatnonzero(y >= level)
     if not above.size:

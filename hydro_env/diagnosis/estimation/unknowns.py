@@ -163,11 +163,9 @@ def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
 
 
 def within(unknown: Unknown, low: float, high: float) -> Unknown:
-    """An unknown whose plausible range is known beforehand: two standard deviations of its prior reach from end to end of half of
-    it."""
-    if unknown.log:
-        low = max(low, unknown.center / 20.0)
-    wide = math.log(high / low) if unknown.log else high - low
+    """An unknown whose plausible range is known beforehand; the range is four standard deviations of its prior wide."""
+    low = max(low, unknown.center / 20.0) if unknown.log else low
+    wide = unknown.scale * (unknown.q(high) - unknown.q(low))
     return replace(unknown, low=low, high=high, scale=max(0.25 * wide, 1e-6), prior=True)
 
 

@@ -87,7 +87,7 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
         else:
             parameter = rig.own[name] if name in rig.own else scales.parameter(parameter_of(name))
             unknown = base_unknown(parameter, value, name in limited)
-        if name in rig.model.ranges and name not in rig.own:
+        if name in rig.model.ranges:
             unknown = within(unknown, *rig.model.ranges[name])
         if chosen is not None and (bounds := chosen[name]):
             unknown = replace(unknown, low=bounds[0], high=bounds[1])
