@@ -12,24 +12,22 @@ only, so Kq is estimated and D is the mapping's or the model's.
 from __future__ import annotations
 
 import inspect
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
 from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
-from ...plant.catalogue.effect import helpers_of
 from ..input.parts import Part, filled
+from .array_laws import apply_laws, argument, elementwise
 from .base import Request, RigModel, given_parameters
 
 __all__ = ["SteadyValve"]
 
 #: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
 SUPPORTED = (
-    "command_delay", "driver_saturation", "null_offset", "dead_zone", "flow_saturation",
+    "command_delay", "driver_saturation", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation",
     "directional_gain", "flow_gain_nonlinearity", "pressure_dependent_flow", "sensor_offset",
 )  # fmt: skip
 #: Plausible flow gains, as multiples of the smallest and the largest one by least squares: what an effect takes of the flow.
@@ -146,15 +144,20 @@ class SteadyValve(RigModel):
         delays = [values[f"{e}.{own}"] for e in effects if (own := CATALOGUE[e].delays_command)]
         if delays:
             command = _delayed(command[0], np.sum(delays, axis=0), period)
-        voltage = _passed("voltage", command, effects, known)
-        spool = known["alpha"] * (voltage / known["R"]) / known["k"]
-        known["opening"] = _passed("opening", spool, effects, known)
+        voltage = apply_laws("voltage", command, effects, known)
+        known["current"] = voltage / known["R"]
+        force = known["alpha"] * known["current"]
+        for name in effects:
+            if CATALOGUE[name].states and "force" in CATALOGUE[name].laws:
+                known[f"{name}.{CATALOGUE[name].states[0].name}"] = _state(name, known, period)
+        known["spool"] = apply_laws("force", force, effects, known) / known["k"]
+        known["opening"] = apply_laws("opening", known["spool"], effects, known)
         pressure = log.get("pressure")
         known["pressure"] = 0.0 if pressure is None else filled(pressure[:, channel])[None, :]
-        drive = _passed("drive", np.ones_like(known["opening"]), effects, known)
+        drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
         speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)
-        return _passed("measured_speed", speed, effects, known)
+        return apply_laws("measured_speed", speed, effects, known)
 
 
 def _delayed(command: np.ndarray, delay: np.ndarray, period: float) -> np.ndarray:
@@ -172,35 +175,22 @@ def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
     return out
 
 
-# --- the laws of the catalogue on arrays ------------------------------------------------------------------------------
-@cache
-def _elementwise(law: Callable[..., float]) -> Callable[..., Any]:
-    """A law of the catalogue, which is written for numbers, as a compiled function of arrays."""
-    from numba import vectorize
-
-    return vectorize(_rebuilt(law))
-
-
-def _rebuilt(function: Callable[..., Any]) -> Any:
-    """The function from its source, with compiled functions in the place of those that it calls."""
-    from numba import njit
-
-    space: dict[str, Any] = {"floor": np.floor, "sqrt": np.sqrt}
-    space |= {name: njit(_rebuilt(helper)) for name, helper in helpers_of(function).items()}
-    local: dict[str, Any] = {}
-    exec(textwrap.dedent(inspect.getsource(function)), space, local)
-    return local[function.__name__]
-
-
-def _passed(quantity: str, value: np.ndarray, effects: list[str], known: Mapping[str, Any]) -> np.ndarray:
-    """`value` passed through the laws that these effects have for `quantity`.
-
-    `known` holds signals, base parameters and "effect.parameter" values that broadcast against `value`.
-    """
-    for name in effects:
-        law = CATALOGUE[name].laws.get(quantity)
-        if law is not None:
-            _, *arguments = inspect.signature(law).parameters
-            own = [f"{name}.{a}" if f"{name}.{a}" in known else a for a in arguments]
-            value = _elementwise(law)(value, *(known[a] for a in own))
-    return value
+def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
+    """The memory of an effect that is driven by the current, by implicit steps from row to row; (lanes, T)."""
+    described = CATALOGUE[effect]
+    state, current = described.states[0], known["current"]
+    rate_of, further = elementwise(state.rate), 0.01 * state.scale
+    names = list(inspect.signature(state.rate).parameters)
+    own = {n: argument(described, n, known) for n in names if n not in (state.name, "current_rate")}
+    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
+    lanes = np.broadcast_shapes(changes[:, :1].shape, *map(np.shape, own.values()))[0]
+    loop, out = np.zeros((lanes, 1)), np.empty((lanes, current.shape[1]))
+    for row in range(current.shape[1]):
+        inputs = {**own, "current_rate": changes[:, row : row + 1]}
+        rate, beside = (
+            rate_of(*({**inputs, state.name: at}[n] for n in names)) for at in (loop, loop + further)
+        )
+        decay = (rate - beside) / further
+        loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
+        out[:, row] = loop[:, 0]
+    return out
