@@ -23,6 +23,7 @@ import numpy as np
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.statistics import Summary, gap_closed, probability_of_improvement, summarise
 from hydro_env.benchmark.suite import Suite, load_suite
+from hydro_env.benchmark.tuned import tuned
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.rollout import roll_out
@@ -128,7 +129,7 @@ class Conditions:
 def run(
     out: str | Path | None, *, controllers: Sequence[Any] | None = None, selection: Selection | None = None,
     conditions: Conditions | None = None, engine: str = "local", jobs: int = 1, cells_folder: str | Path | None = None,
-    progress: bool = True, trust: bool = False,
+    progress: bool = True, trust: bool = False, gains: str | Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Scores controllers and writes `out/scores.json` and `out/scores.html`.
 
@@ -141,6 +142,8 @@ def run(
         engine, jobs: where the cells run, see `hydro_env.parallel`; makes no difference to the scores.
         cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
+        gains: folder of gains for the plant, if that is a file: controllers that ship with gains for the paper's plant are
+            tuned for it first, those that are there already are taken. None: all are scored with the gains that ship.
         trust: whether agents of Stable-Baselines3 (.zip) may be loaded, which runs code from the file.
 
     Returns what scores.json holds. InputError for a name that does not exist.
@@ -150,7 +153,14 @@ def run(
     check_engine(engine, jobs)
     conditions.check(chosen)
     store = None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions))
-    cells = list(_cells(_specs(controllers or ["all"]), chosen, trust))
+    specs = _specs(controllers or ["all"])
+    first: list[str] = []
+    if gains is not None:
+        specs, first = tuned(
+            specs, conditions.plant, own=[*chosen.splits] == [OWN], period=conditions.control_period, folder=Path(gains),
+            engine=engine, jobs=jobs, progress=progress,
+        )  # fmt: skip
+    cells = list(_cells(specs, chosen, trust))
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)
     done = run_tasks(
@@ -162,6 +172,7 @@ def run(
         for cell, result in zip(cells, done, strict=True)
     ]
     scores = _scores(done, chosen, conditions)
+    scores["about"] += f" Tuned for this plant: {', '.join(first)}." if first else ""
     if out is not None:
         write_json(Path(out) / "scores.json", scores)
         with beside_results(page := Path(out) / "scores.html"):

@@ -60,10 +60,10 @@ def tune(
             print(tuner.summary(tuner.run(folder, plant=chosen, max_sensitivity=max_sensitivity, name=name)))
             return
         from hydro_env.controllers.tuning.search import Search, Task
-        from hydro_env.controllers.tuning.tune import run
+        from hydro_env.controllers.tuning.tune import run, summary
 
         task = Task(controller, weight, plant, mismatch, scenarios=tuple(scenario.split(",")))
-        run(folder, Search(task, seed, control_period, cases, episodes), name)
+        print(summary(run(folder, Search(task, seed, control_period, cases, episodes), name)))
 
 
 def benchmark(
@@ -93,6 +93,10 @@ def benchmark(
     limit: Annotated[
         float, number("Time limit of a controller for one split and scenario.", Limits(1e-3, 1e6, unit="s"))
     ] = 600.0,
+    as_shipped: Annotated[bool, Option(
+        "--as-shipped", help="On a plant file: score shipped gains, carried over by similarity, instead of tuning them for this "
+        "plant first (once; kept in the folder gains of --cells, else of --out)."
+    )] = False,
     trust: Annotated[bool, Option(
         "--trust", help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs."
     )] = False,
@@ -112,7 +116,7 @@ def benchmark(
         conditions = command.Conditions(rig, control_period, seed, limit)
         scores = command.run(
             folder, controllers=[*(controllers or []), *(more or [])], selection=selection, conditions=conditions,
-            engine=engine, jobs=jobs, cells_folder=cells, trust=trust,
+            engine=engine, jobs=jobs, cells_folder=cells, trust=trust, gains=None if as_shipped else (cells or out) / "gains",
         )  # fmt: skip
         print(command.report(scores))
 

@@ -9,8 +9,10 @@ import gymnasium
 import pytest
 
 from hydro_env import cli
+from hydro_env.benchmark import tuned as benchmark_gains
 from hydro_env.benchmark.command import Selection
-from hydro_env.controllers.tuning.search import Task
+from hydro_env.controllers.tuning.gains import GainsFile, write_gains
+from hydro_env.controllers.tuning.search import Search, Task
 from hydro_env.errors import InputError
 from hydro_env.plant.model_files import values_set_by
 from hydro_env.tasks import default_mismatch, load_mismatch
@@ -82,3 +84,32 @@ def test_gains_are_tuned_on_the_own_pair(tmp_path: Path) -> None:
     plant = write(tmp_path, "uneven", UNEVEN)
     assert Task(plant=plant, mismatch="auto").mismatch is None and Task(mismatch="auto").mismatch == "train"
     assert Task(mismatch="own").mismatch is None and Task(plant=plant, mismatch="train").mismatch == "train"
+
+
+def test_shipped_gains_are_tuned_for_a_plant_file_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant, searched = write(tmp_path, "uneven", UNEVEN), []
+
+    def quick(out: Path, wanted: Search, name: str) -> None:
+        searched.append(name)
+        out.mkdir(parents=True)
+        assert wanted.task.mismatch is None
+        write_gains(
+            out / "gains.json",
+            GainsFile(name=name, controller="pid", gains={"Kp": 0.01, "Ti": 0.1, "Td": 0.001}),
+        )
+
+    def rows(*options: str) -> list[dict]:
+        arguments = ["benchmark", "pid_tuned", "pid_paper", "--suite", "quick", "--cases", "1", *options]
+        assert cli.run([*arguments, "--plant", plant, "--out", str(tmp_path / "out")]) == 0
+        return json.loads((tmp_path / "out/scores.json").read_text())
+
+    monkeypatch.setattr(benchmark_gains, "tune", quick)
+    first, again, shipped = rows(), rows(), rows("--as-shipped")
+    assert searched == ["pid_tuned"] and first["rows"] == again["rows"] != shipped["rows"]
+    assert "Tuned for this plant: pid_tuned." in again["about"] and "Tuned" not in shipped["about"]
+    assert "Tuning for" in capsys.readouterr().out and first["controllers"] == ["pid_tuned", "pid_paper"]
+    Path(plant).write_text(Path(plant).read_text().replace("0.25", "0.28"))
+    rows()
+    assert searched == ["pid_tuned"] * 2

@@ -165,7 +165,7 @@ LOGS = "{logs}/fit_1.csv {logs}/fit_2.csv --sealed {logs}/sealed.csv --model {lo
 COMMANDS = {
     "reproduce": "reproduce --out {out}",
     "valve-test": "valve-test paper:1 paper:2 --seconds 3 --out {out}",
-    "tune": "tune --episodes 192 --cases 4 --scenario setpoint_steps --out {out}",
+    "tune": "tune --episodes 288 --cases 4 --scenario setpoint_steps --out {out}",
     "tune --linear": "tune --linear --out {out}",
     "benchmark": "benchmark pid_paper pid_tuned --suite quick --cases 1 --cells {out}-cells --out {out}",
     "hide": "hide dead_zone:1 --duration 3 --out {out}",
@@ -318,7 +318,7 @@ def _killed(command: list[str], after: float) -> None:
 
 KILLED = {
     "benchmark": "benchmark pid_paper pid_tuned cross_coupled --suite quick --cases 2 --cells {folder}/cells --out {folder}/out",
-    "tune": "tune --episodes 192 --cases 4 --scenario setpoint_steps --out {folder}/out",
+    "tune": "tune --episodes 288 --cases 4 --scenario setpoint_steps --out {folder}/out",
     "diagnose": f"diagnose {LOGS} --out {{folder}}/out",
 }
 

@@ -23,6 +23,7 @@ from hydro_env.controllers.tuning import tune
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.tuning.linearised import largest_sensitivity
 from hydro_env.controllers.tuning.search import Search, Task
+from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
@@ -287,7 +288,7 @@ def test_disturbance_observer_finds_a_constant_disturbance():
 
 def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
     task = Task("pid", plant="paper", scenarios=("setpoint_steps",))
-    few = Search(task, cases=1, episodes=48, progress=False)
+    few = Search(task, cases=1, episodes=72, progress=False)
     first = tune.run(tmp_path / "a", few)
     more = tune.run(tmp_path / "b", replace(few, episodes=144))
     assert more["tuning"]["cost_rpm"] <= first["tuning"]["cost_rpm"]
@@ -295,6 +296,29 @@ def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
     assert (tmp_path / "a/gains.json").read_bytes() == (tmp_path / "c/gains.json").read_bytes()
     controller = make_controller(str(tmp_path / "b/gains.json"))
     assert {key: float(value) for key, value in controller.gains.items()} == more["gains"]
+
+
+def test_a_search_begins_at_shipped_gains_and_where_the_linearised_plant_carries_them():
+    """Once on the paper's plant, where both are the same; the stiff plant of `rig` takes a tenth of the gain."""
+    shipped, carried = starts("pid", "paper_dead_zone", 0.01)
+    assert shipped["Kp"] == make_controller("pid_tuned").gains["Kp"] and carried == pytest.approx(shipped)
+    shipped, carried = starts("pid", "rig", 0.01)
+    assert carried["Kp"] < 0.2 * shipped["Kp"] and carried["Ti"] < 0.2 * shipped["Ti"]
+    assert carried["shape"] == shipped["shape"]
+
+
+def test_a_search_says_how_far_it_came(tmp_path):
+    few = Search(Task("pid", scenarios=("setpoint_steps",)), cases=1, episodes=72, progress=False)
+    found = tune.run(tmp_path, few)
+    tuning, text = found["tuning"], tune.summary(found)
+    assert (
+        tuning["cost_rpm"] <= tuning["start_rpm"] < tuning["at_rest_rpm"]
+    )  # shipped gains are among the last candidates
+    assert tuning["judged_on"] == 4 and tuning["episodes"] == 72
+    assert "with motors at rest" in text and "hardly better" not in text and "ended" not in text
+    worse = {**tuning, "cost_rpm": tuning["at_rest_rpm"], "at_end_of_range": {"Kp": 0}}
+    text = tune.summary({**found, "tuning": worse})
+    assert "hardly better" in text and "Kp ended at the lower end" in text
 
 
 def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
@@ -330,7 +354,7 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
 def test_nothing_is_tuned_on_a_test_split(tmp_path):
     with pytest.raises(InputError, match="never on other splits"):
         tune.run(tmp_path, Search(Task(mismatch="test_interp")))
-    with pytest.raises(InputError, match="at least 1152"):
+    with pytest.raises(InputError, match="at least 1728"):
         tune.run(tmp_path, Search(Task(), episodes=100))
     with pytest.raises(InputError, match="unknown control law 'pdi'"):
         tune.run(tmp_path, Search(Task("pdi")))

@@ -137,7 +137,7 @@ def test_files_of_one_name_in_two_folders_are_two(folder: Path) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_own_gains_are_tuned_and_the_file_drives(capsys: pytest.CaptureFixture[str]) -> None:
-    budget = ["--cases", "1", "--episodes", "48", "--scenario", "setpoint_steps"]
+    budget = ["--cases", "1", "--episodes", "72", "--scenario", "setpoint_steps"]
     assert cli.run(["tune", "--controller", "mine.py:Mine", *budget, "--out", "gains"]) == 0
     kept = json.loads(Path("gains/gains.json").read_text())
     assert (

@@ -8,14 +8,16 @@ motors apart, would cost nothing. Nor would commands full of noise, which wear v
 mean over pairs and scenarios.
 
 Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
-candidates drive the same pairs with the same noise. Only the split `train` may be used, or the plant's own pair.
+candidates drive the same pairs with the same noise. Known gains may be candidates of the first generation (`tuning.start`). The
+best of the last one are compared on other pairs, since gains that suit the few pairs of a search best do not suit all.
+Only the split `train` may be used, or the plant's own pair.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import version
 from math import inf, log
@@ -28,6 +30,7 @@ from tqdm import tqdm
 from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError, place_of
 from hydro_env.plant import PAPER, load_model, scales_of, simulate
 from hydro_env.tasks import OWN, default_mismatch, load_scenario
@@ -38,8 +41,13 @@ __all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "cost", "costs_of
 POPULATION = 24
 """Candidates of a generation: about three for each of up to eight gains."""
 CASES, TRIALS = 12, 480
-"""Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for."""
+"""Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for.
+Of the plant's own pair these are twelve episodes with other noise and set-points: gains that fit a few suit no others."""
 EPISODES = 2 * CASES * TRIALS
+FINALISTS = 6
+"""Of the last generation, compared on so many other pairs that it takes as many episodes as a generation."""
+AT_END = 0.01
+"""Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"
 AROUND = 0.15
 """A search around known gains begins within this share of every range to both sides of them."""
@@ -76,7 +84,8 @@ class Search:
     """One search.
 
     cases: pairs of valves each candidate drives in each scenario (seeds `seed`, `seed + 1`, ...). episodes: the budget, how
-    many may be simulated in all. period: of control, s.
+    many may be simulated in all. period: of control, s. plain: evolution alone, as the gains that ship were found: no known gains
+    to begin with, no other pairs in the end.
     """
 
     task: Task
@@ -85,6 +94,12 @@ class Search:
     cases: int = CASES
     episodes: int = EPISODES
     progress: bool = True
+    plain: bool = False
+
+    @property
+    def generation(self) -> int:
+        """Episodes of a generation."""
+        return self.cases * POPULATION * len(self.task.scenarios)
 
 
 def cost(metrics: dict[str, Floats], weight: float, calm: bool = True, speed: float = 1.0) -> Floats:
@@ -98,7 +113,7 @@ def cost(metrics: dict[str, Floats], weight: float, calm: bool = True, speed: fl
 
 
 def costs_of(
-    controller: Controller,
+    controller: Any,
     count: int,
     task: Task,
     seeds: Sequence[int],
@@ -122,43 +137,114 @@ def costs_of(
 def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str, Any]:
     """{"gains", "tuning"}, where the first generation lies around the gains `near` if given.
 
-    InputError for a control law or split that may not be tuned on, or a budget below two generations.
+    InputError for a control law or split that may not be tuned on, or a budget below three generations (two if `plain`).
     """
     task = _checked(wanted)
-    law, cases, seeds = law_of(task.law), wanted.cases, range(wanted.seed, wanted.seed + wanted.cases)
-    names = [gain.name for gain in law.GAINS]
-    generation = cases * POPULATION * len(task.scenarios)
-    generations = wanted.episodes // generation - 1
-
-    def costs(genes: Floats) -> Floats:
-        """Costs (candidates,) of genes (gains, candidates), all candidates and pairs in one batch."""
-        count = genes.shape[1]
-        columns = np.repeat(_values(law, genes), cases, axis=1)[:, :, None]
-        tried = law(task.law, **dict(zip(names, columns, strict=True))).carry()
-        return costs_of(tried, count, task, seeds, wanted.period, bar)
-
-    bounds = _bounds(law)
-    rng = np.random.default_rng(wanted.seed)
-    first = _latin_hypercube(bounds, rng, None if near is None else _genes(law, near))
+    law, rng = law_of(task.law), np.random.default_rng(wanted.seed)
+    first = _latin_hypercube(_bounds(law), rng, None if near is None else _genes(law, near))
+    known = [] if wanted.plain else starts(task.law, task.plant, wanted.period)
+    for row, gains in enumerate(known, 1):
+        first[row] = _genes(law, gains)
+    generations = wanted.episodes // wanted.generation - (not wanted.plain)
     bar = tqdm(
-        total=(generations + 1) * generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
-        disable=not wanted.progress,
+        total=(generations + (not wanted.plain)) * wanted.generation, desc=f"{task.law} {wanted.period:g} s",
+        unit="episode", disable=not wanted.progress,
     )  # fmt: skip
+    told: dict[str, Any] = {}
+    trials = _Trials(wanted, task, law, bar)
     with bar, _users_errors():
         found = differential_evolution(
-            costs, bounds, init=first, maxiter=generations,
+            trials.costs, _bounds(law), init=first, maxiter=generations - 1,
             rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
-    best = dict(zip(names, _values(law, found.x), strict=True))
-    if best.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
-        del best["slew"]  # the whole range within one period: no limit
+        best, cost = found.x, float(found.fun)
+        if not wanted.plain:
+            best, cost, told = trials.final(found.population, found.population_energies, known)
+    found_gains = dict(zip((gain.name for gain in law.GAINS), _values(law, best), strict=True))
+    if found_gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
+        del found_gains["slew"]  # the whole range within one period: no limit
     size = scales_of(load_model(task.plant)) if law.similar else PAPER
     sizes = {gain.name: gain.size(size) for gain in law.GAINS}
-    gains = {key: float(f"{value * sizes[key]:.4g}") for key, value in best.items()}
-    trials, spent = POPULATION * found.nfev, generation * found.nfev  # SciPy counts generations
-    done = {"trials": trials, "episodes": spent, "cost_rpm": float(f"{found.fun:.5g}")}
-    return {"gains": gains, "tuning": _account(wanted, task, generations, near is not None) | done}
+    told["trials"] = POPULATION * found.nfev  # SciPy counts generations
+    told["episodes"] = (found.nfev + (not wanted.plain)) * wanted.generation
+    told["cost_rpm"] = _short(cost)
+    if not wanted.plain:
+        told["at_end_of_range"] = {name: end for name, end in _ends(law, best).items() if name in found_gains}
+    return {
+        "gains": {key: float(f"{value * sizes[key]:.4g}") for key, value in found_gains.items()},
+        "tuning": _account(wanted, task, generations, near is not None) | told,
+    }
+
+
+@dataclass
+class _Trials:
+    """Candidates that drive, all at once, and the least cost so far after every generation."""
+
+    wanted: Search
+    task: Task
+    law: type[Controller]
+    bar: tqdm
+    lowest: list[float] = field(default_factory=list)
+
+    def costs(self, genes: Floats) -> Floats:
+        """Costs (candidates,) of genes (gains, candidates) of a generation."""
+        begin = self.wanted.seed
+        costs = self._on(range(begin, begin + self.wanted.cases), genes)
+        self.lowest.append(min([float(np.min(costs)), *self.lowest[-1:]]))
+        return costs
+
+    def _on(self, seeds: range, genes: Floats) -> Floats:
+        columns = np.repeat(_values(self.law, genes), len(seeds), axis=1)[:, :, None]
+        tried = self.law(
+            self.task.law, **dict(zip((gain.name for gain in self.law.GAINS), columns, strict=True))
+        )
+        return costs_of(tried.carry(), genes.shape[1], self.task, seeds, self.wanted.period, self.bar)
+
+    def final(
+        self, population: Floats, costs: Floats, known: list[dict[str, float]]
+    ) -> tuple[Floats, float, dict[str, Any]]:
+        """The best of the last generation (candidates, gains) on other pairs, its cost there, and what there is to tell: what the
+        first of the `known` gains and motors at rest cost, and what the last quarter of the search has gained.
+        """
+        first = [_genes(self.law, gains) for gains in known[:1]]
+        order = np.argsort(costs, kind="stable")[: FINALISTS - len(first)]
+        genes = np.array([*population[order], *first])
+        begin = self.wanted.seed + self.wanted.cases
+        seeds = range(begin, begin + self.wanted.cases * POPULATION // FINALISTS)
+        found = self._on(seeds, genes.T)
+        best = int(np.argmin(found))
+        rest = costs_of(_Rest(), 1, self.task, seeds, self.wanted.period)
+        late = self.lowest[-1 - len(self.lowest) // 4]
+        told: dict[str, Any] = {
+            "judged_on": len(seeds),
+            "last_quarter_gained_percent": _short(100.0 * (1.0 - self.lowest[-1] / late)),
+            "at_rest_rpm": _short(float(rest[0])),
+        }
+        if known:
+            told["start_rpm"] = _short(float(found[-1]))
+        return genes[best], float(found[best]), told
+
+
+class _Rest:
+    """Commands of zero: what it costs to do nothing."""
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        self._zeros = np.zeros((num_rigs, 2))
+
+    def act(self, observation: Floats) -> Floats:
+        return self._zeros
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")
+
+
+def _ends(law: type[Controller], genes: Floats) -> dict[str, float]:
+    """Gains that lie at an end of the range that is searched, with the share of the range they lie at: 0 or 1."""
+    low, high = _bounds(law).T
+    shares = dict(zip((gain.name for gain in law.GAINS), (genes - low) / (high - low), strict=True))
+    return {name: round(share) for name, share in shares.items() if abs(share - round(share)) < AT_END}
 
 
 @contextmanager
@@ -185,10 +271,10 @@ def _checked(wanted: Search) -> Task:
         )
     task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
     load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
-    least = 2 * wanted.cases * POPULATION * len(task.scenarios)
-    if wanted.cases < 1 or wanted.episodes < least:
+    least = 2 if wanted.plain else 3
+    if wanted.cases < 1 or wanted.episodes < least * wanted.generation:
         raise InputError(
-            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least} (two generations)"
+            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least * wanted.generation} ({least} generations)"
         )
     return task
 
@@ -207,7 +293,7 @@ def _account(wanted: Search, task: Task, generations: int, around: bool) -> dict
         "seed": wanted.seed,
         "control_period_s": wanted.period,
         "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {objective}",
-        "optimiser": f"differential evolution, population {POPULATION}, {generations + 1} generations"
+        "optimiser": f"differential evolution, population {POPULATION}, {generations} generations"
         + (", the first around the gains of another control period" if around else ""),
         "plant_dtype": "float32",
         "version": version("hydro_env"),

@@ -24,7 +24,7 @@ from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, s
 from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks import OWN
 
-__all__ = ["COMMON", "run", "run_all"]
+__all__ = ["COMMON", "run", "run_all", "summary"]
 
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
 
@@ -93,6 +93,25 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
     return {"controller": task.law, "gains": file.gains, "units": file.units, "tuning": tuning}
 
 
+def summary(found: dict[str, Any]) -> str:
+    """What a run says: the cost beside that of the first gains and of motors at rest, and how far the search has come."""
+    tuning, units = found["tuning"], found["units"]
+    others = {"the gains it began with": tuning.get("start_rpm"), "motors at rest": tuning["at_rest_rpm"]}
+    beside = ", ".join(f"{value:.4g} with {what}" for what, value in others.items() if value is not None)
+    lines = [
+        f"cost {tuning['cost_rpm']:.4g} rpm on {tuning['judged_on']} other pairs ({beside}); "
+        f"the last quarter of the search gained {tuning['last_quarter_gained_percent']:.2g} %"
+    ]
+    lines += [f"{name} = {value:.4g} {units[name]}" for name, value in found["gains"].items()]
+    for name, end in tuning["at_end_of_range"].items():
+        lines.append(f"{name} ended at the {'upper' if end else 'lower'} end of its range")
+    if tuning["cost_rpm"] > 0.95 * tuning["at_rest_rpm"]:
+        lines.append(
+            f"{found['controller']} is hardly better here than motors at rest: try another control law"
+        )
+    return "\n".join(lines)
+
+
 def run_all(
     out: str | Path, *, names: list[str] | None = None, seed: int = 0, progress: bool = True
 ) -> dict[str, GainsFile]:
@@ -138,9 +157,11 @@ def _by_period(
     task: Task, seed: int, progress: bool, first: Budget, other: Budget
 ) -> dict[float, dict[str, Any]]:
     """What one search finds for every control period."""
-    own = search(Search(task, seed, PERIOD, first.cases, first.episodes, progress))
+    own = search(Search(task, seed, PERIOD, first.cases, first.episodes, progress, plain=True))
     return {PERIOD: own} | {
-        period: search(Search(task, seed, period, other.cases, other.episodes, progress), near=own["gains"])
+        period: search(
+            Search(task, seed, period, other.cases, other.episodes, progress, plain=True), near=own["gains"]
+        )
         for period in OTHER_PERIODS
     }
 

@@ -1,0 +1,81 @@
+"""Gains for the plant under test: controllers that ship with gains for the paper's plant are tuned for another one first."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from hydro_env.controllers.registry import CONTROLLERS, law_of
+from hydro_env.controllers.tuning.gains import read_gains
+from hydro_env.controllers.tuning.search import Search, Task
+from hydro_env.controllers.tuning.tune import run as tune
+from hydro_env.errors import InputError
+from hydro_env.parallel import Failure
+from hydro_env.parallel import run as run_tasks
+from hydro_env.plant import load_model, preset_names
+
+__all__ = ["tuned"]
+
+SEED = 10_000
+"""Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A search for the gains of a shipped controller, and the folder that keeps them."""
+
+    name: str
+    wanted: Search
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        """Of the gains file; its folder is named by all that the gains depend on."""
+        model = load_model(self.wanted.task.plant).to_dict()
+        search = replace(self.wanted, task=replace(self.wanted.task, plant=""))
+        digest = hashlib.sha256(repr((model, search, version("hydro_env"))).encode()).hexdigest()[:12]
+        return self.folder / f"{self.name}-{digest}" / "gains.json"
+
+
+def _search(job: _Job) -> None:
+    tune(job.path.parent, job.wanted, job.name)
+
+
+def _law(name: str) -> str:
+    """The law of a controller that ships with gains for the paper's plant, "" for all others."""
+    entry = CONTROLLERS.get(name)
+    if entry is None or entry.file is None or entry.file.suffix != ".json":
+        return ""
+    shipped = read_gains(entry.file)
+    return shipped.controller if law_of(shipped.controller).similar and not shipped.plant else ""
+
+
+def tuned(
+    specs: Sequence[Any], plant: Any, *, own: bool, period: float, folder: Path, engine: str, jobs: int, progress: bool
+) -> tuple[list[Any], list[str]]:  # fmt: skip
+    """Controllers for a benchmark, and the names of those that are tuned for its plant: on a plant file, those that ship with
+    gains are replaced by gains files of `folder`, found at this control period (s) for the plant's `own` pair of valves or for
+    drawn pairs. What the same search has left there is taken. InputError if a search fails.
+    """
+    if not isinstance(plant, str | Path) or str(plant) in preset_names():
+        return list(specs), []
+    mismatch = None if own else "train"
+    jobs_of = {
+        name: _Job(
+            name, Search(Task(law, plant=str(plant), mismatch=mismatch), SEED, period, progress=False), folder
+        )
+        for name in specs
+        if isinstance(name, str) and (law := _law(name))
+    }
+    missing = [job for job in jobs_of.values() if not job.path.exists()]
+    if missing and progress:
+        print(f"Tuning for {plant} first: {', '.join(job.name for job in missing)}", flush=True)
+    results = run_tasks(missing, _search, engine=engine, jobs=jobs, progress=progress, unit="controller")
+    for job, result in zip(missing, results, strict=True):
+        if isinstance(result, Failure):
+            raise InputError(f"{job.name} cannot be tuned for {plant}: {result}; --as-shipped does without")
+    return [str(jobs_of[s].path) if isinstance(s, str) and s in jobs_of else s for s in specs], [*jobs_of]
