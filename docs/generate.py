@@ -39,6 +39,7 @@ from hydro_env.cli.help import examples as examples_by_command
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
+from hydro_env.data_sheet import sheet
 from hydro_env.diagnosis import STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
@@ -888,6 +889,7 @@ PARTS: dict[str, Callable[[], str]] = {
 PARTS["mapping_file"] = lambda: _docstring(mapping)
 PARTS["blind_trials_help"] = lambda: _docstring(_evidence("blind_trials"))
 PARTS["model_file"] = lambda: _docstring(model_files)
+PARTS["data_sheet"] = lambda: f"{_docstring(sheet)}\n\n```yaml\n{sheet.template()}```"
 
 
 def part(name: str) -> str:

@@ -83,7 +83,7 @@ class FmuModel(PlantModel):
         """As `PlantModel.value`; what the FMU does not show is that of `rig`."""
         return super().value(name, channel) if name in self.values else self.rig.value(name, channel)
 
-    def to_dict(self, source: str = "") -> dict[str, Any]:
+    def to_dict(self, source: str | Mapping[str, str] = "") -> dict[str, Any]:
         """What tells it from others, the FMU's content included."""
         digest = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
         links = {f"{name}_{c + 1}": [link.variable, link.factor] for (name, c), link in self.links.items()}

@@ -9,6 +9,7 @@ import typer
 from hydro_env import __version__
 from hydro_env.cli.controllers import benchmark, tune
 from hydro_env.cli.dataset import dataset
+from hydro_env.cli.describe import describe
 from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
 from hydro_env.cli.export import export
@@ -49,7 +50,7 @@ def _options(
 
 
 for _command in (
-    demo, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop,
+    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop,
 ):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")

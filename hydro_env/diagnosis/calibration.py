@@ -25,7 +25,7 @@ from .estimation import Fit, Vector
 from .logs import Estimates
 from .opening import opened
 from .settings import Settings
-from .stages import calibration, consistency, settling, uncertainty
+from .stages import calibration, consistency, uncertainty
 from .stages.calibration import Chosen, check_chosen
 from .stages.form_correction import Models
 from .stages.validation import Proof, prove, shown_unit, signal_key
@@ -116,7 +116,7 @@ def estimate(
             check_chosen(rig, chosen)
         found = calibration.run(consistency.run(all_logs, accept), chosen)
         models = Models(found.given, found.estimates, found.estimates, found.estimates, {})
-        models = uncertainty.run(found.logs, settling.run(found.logs, models))
+        models = uncertainty.run(found.logs, uncertainty.settle(found.logs, models))
         after = models.final
         proof = prove(found.logs.fine, {"before": models.given, "calibrated": after, "after": after})
         known = {p.name: p for p in known_parameters(rig, after)}

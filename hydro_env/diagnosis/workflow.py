@@ -33,7 +33,6 @@ from .stages import (
     rattling,
     screening,
     selection,
-    settling,
     uncertainty,
     validation,
     verdict,
@@ -55,7 +54,7 @@ STAGES: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verdict of the fit logs", verdict.decide),
     ("locating the residual", localisation.run),
     ("correcting the form of what is named", form_correction.run),
-    ("settling on the minimum", settling.run),
+    ("settling on the minimum", uncertainty.settle),
     ("uncertainty", uncertainty.run),
     ("validation on held-out logs", validation.run),
     ("verdict of the held-out logs", verdict.confirm),
@@ -135,12 +134,12 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     first = do(verdict.decide, calibrated, selected)
     locations = do(localisation.run, logs.rig, selected.calibrated, first)
     models = do(form_correction.run, calibrated.given, selected, first)
-    models = do(settling.run, logs, models)
+    models = do(uncertainty.settle, logs, models)
     models = do(uncertainty.run, logs, models)
-    unknown = list(uncertainty.undetermined(logs.rig, models.shown))
+    unknown = list(uncertainty.undetermined(logs.rig))
     proofs = do(validation.run, logs, models)
-    found = do(verdict.confirm, selected, first, models, proofs, not unknown)
-    effects = do(naming.run, selected, screened, found)
+    found = do(verdict.confirm, selected, first, models, proofs)
+    effects = do(naming.run, selected, found)
     return State(
         logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
         found.elsewhere, found.doubts,

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES
-from hydro_env.practice.recorder import COLUMNS, SENSORS, log_text
+from hydro_env.plant import Scales
+from hydro_env.practice.recorder import COLUMNS, SENSORS, columns_of, log_text
 
 __all__ = ["MAX_SECONDS", "Recording"]
 
@@ -25,7 +26,8 @@ _NOISE = {"measured_speed": slice(0, 2), "current": slice(2, 4), "pressure": sli
 class Recording:
     """Rows of a log, a control period at a time. The readings that a controller got stand in the first row of each."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, scales: Scales) -> None:
+        self._columns = columns_of(scales)
         self._stream = np.random.default_rng(seed)
         self._periods: list[dict[str, Floats]] = []
 
@@ -42,7 +44,7 @@ class Recording:
         rows = {"setpoint": np.full((SAMPLES, 1), setpoint_rpm)}
         rows |= {"command": np.tile(command_V, (SAMPLES, 1)), "load": np.tile(load_Nm, (SAMPLES, 1))}
         for name in RECORDED:
-            sensor = SENSORS[_READ[name]]
+            sensor = self._columns[_READ[name]]
             errors = self._stream.standard_normal((SAMPLES, 2))
             errors[0] = noise[_NOISE[name]]
             shown = signals[name] / sensor.size + sensor.noise * errors
@@ -56,4 +58,4 @@ class Recording:
         columns = {"time_s": np.arange(len(setpoint)) * PERIOD / SAMPLES, "setpoint_rpm": setpoint}
         for c in (0, 1):
             columns |= {f"{n}_{c + 1}_{COLUMNS[n].unit}": values[:, c] for n, values in rows.items()}
-        return log_text(columns)
+        return log_text(columns, self._columns)

@@ -169,7 +169,7 @@ class Session:
         """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
         a reset, or after `recording.MAX_SECONDS` seconds; its text then stands in `finished_log`."""
         self.reset()
-        self._recording = Recording(int(self._stream().integers(2**32)))
+        self._recording = Recording(int(self._stream().integers(2**32)), self._rig.scales)
 
     def stop_recording(self) -> None:
         """Ends the log. InputError if none was begun."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,15 @@ from .catalogue import CATALOGUE, parameter_of
 from .parameters import PARAMETERS
 from .validation import check_channel, wrong_values
 
-__all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of"]
+__all__ = [
+    "SCHEMA",
+    "TOLERANCE",
+    "VALVE_PARAMETERS",
+    "VALVE_PORTS",
+    "PlantModel",
+    "parameter_of",
+    "ranges_of",
+]
 
 SCHEMA = "hydro_env/model/1"
 #: Error of a speed, rad/s, by which a model that says nothing else chooses its steps: 0.1 rpm.
@@ -30,20 +38,33 @@ VALVE_PARAMETERS = (
 VALVE_PORTS = ("coil", "force", "opening")
 
 
+def ranges_of(
+    ranges: Mapping[str, tuple[float, float]], values: Mapping[str, Sequence[float]]
+) -> dict[str, tuple[float, float]]:
+    """The ranges, by name, that hold the values of that name, if there are any."""
+    return {
+        n: (low, high)
+        for n, (low, high) in ranges.items()
+        if all(low <= v <= high for v in values.get(n, ()))
+    }
+
+
 @dataclass(frozen=True)
 class PlantModel:
     """Values of a rig. `values` maps "Kq" or "dead_zone.overlap_positive" to a pair (channel 1, channel 2), SI.
 
     Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
     there with neutral values (then it may be varied later). `tolerance` is the error of a speed, rad/s, by which the steps of
-    the integrator are chosen. InputError for unknown names, values that are no numbers, and those outside of what a component can
-    have (`Parameter.possible`).
+    the integrator are chosen. `ranges` are what is known beforehand of some of the values, (least, greatest) on either channel; a
+    value that is changed to one outside loses its range. InputError for unknown names, values that are no numbers, those outside
+    of what a component can have (`Parameter.possible`), and a range that does not hold its value.
     """
 
     name: str = "nominal"
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     declared: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 1e-6 * RPM <= self.tolerance <= 1e3 * RPM:
@@ -69,6 +90,20 @@ class PlantModel:
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
         for channel in (0, 1):
             check_channel(self, channel, f"model {self.name!r}")
+        for name in self.ranges:
+            self._check_range(name)
+
+    def _check_range(self, name: str) -> None:
+        effect, _, _ = name.rpartition(".")
+        parameter_of(name)
+        if effect and effect not in self.declared:
+            raise InputError(f"ranges: {name}: the model does not have the effect {effect!r}")
+        low, high = self.ranges[name]
+        for value in self.pair(name):
+            if not low <= value <= high:
+                raise InputError(
+                    f"ranges: {name} is {value:g}, outside of its own range of {low:g} to {high:g}"
+                )
 
     @property
     def channels(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -101,16 +136,22 @@ class PlantModel:
             if len(pair) != 2:
                 raise InputError(f"{key}: one number, or one for each of the two channels, not {len(pair)}")
             changed[key] = (float(pair[0]), float(pair[1]))
-        return replace(self, values=changed, name=self.name if name is None else name)
+        ranges = ranges_of(self.ranges, changed)
+        return replace(self, values=changed, name=self.name if name is None else name, ranges=ranges)
 
     def without(self, effect: str) -> PlantModel:
         """A new model in which this effect does not act."""
-        kept = {n: v for n, v in self.values.items() if n.split(".", 1)[0] != effect or "." not in n}
-        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect))
+        kept, ranges = (
+            {n: pair for n, pair in table.items() if n.rpartition(".")[0] != effect}
+            for table in (self.values, self.ranges)
+        )
+        return replace(
+            self, values=kept, declared=tuple(n for n in self.declared if n != effect), ranges=ranges
+        )
 
-    def to_dict(self, source: str = "") -> dict[str, Any]:
-        """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from, if
-        they have one source."""
+    def to_dict(self, source: str | Mapping[str, str] = "") -> dict[str, Any]:
+        """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from: one
+        text for all, or one by name or effect."""
         data: dict[str, Any] = {"schema": SCHEMA, "name": self.name}
         if self.tolerance != TOLERANCE:
             data["tolerance_rpm"] = self.tolerance / RPM
@@ -124,13 +165,14 @@ class PlantModel:
                 place.setdefault(side, {})[own] = value
         if effects:
             data["effects"] = effects
+        if self.ranges:
+            data["ranges"] = {name: list(ends) for name, ends in self.ranges.items()}
         if source:
-            data["sources"] = dict.fromkeys(
-                (*(n for n in self.values if "." not in n), *self.declared), source
-            )
+            names = (*(n for n in self.values if "." not in n), *self.declared)
+            data["sources"] = dict.fromkeys(names, source) if isinstance(source, str) else dict(source)
         return data
 
-    def to_yaml(self, path: str | Path, source: str = "") -> None:
+    def to_yaml(self, path: str | Path, source: str | Mapping[str, str] = "") -> None:
         """Writes the model file (atomically); `source` as in `to_dict`."""
         write_text(Path(path), yaml.safe_dump(_exact(self.to_dict(source)), sort_keys=False))
 
@@ -155,4 +197,6 @@ yaml.SafeDumper.add_representer(_Float, _represent)
 def _exact(data: Any) -> Any:
     if isinstance(data, dict):
         return {key: _exact(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_exact(value) for value in data]
     return _Float(data) if isinstance(data, float) else data

@@ -13,6 +13,7 @@
       supply_droop:
         rig: {relative_drop: 0.3}     # `rig` (or `both`) stands for both channels
     sources: {J: drawing, dead_zone: valve bench}   # optional: where values are from, one by one or by effect
+    ranges: {J: [0.002, 0.005]}       # optional: what is known beforehand of a value, which a diagnosis keeps to
 
 A valve is put in before the values of the same file, which may then change it. What belongs to a valve are the base
 parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the named model has them on its channel 1.
@@ -42,7 +43,7 @@ from ..reading import parse_yaml, read_yaml
 from ..units import RPM
 from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
-from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
+from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of, ranges_of
 from .parameters import PARAMETERS
 from .scales import rated
 from .validation import wrong_values
@@ -83,6 +84,7 @@ class _ModelFile(FileTable):
         str, dict[Literal["both", "rig", "channel_1", "channel_2"], dict[str, NumberOrInfinity]]
     ] = Field(default_factory=dict)
     sources: dict[str, str] = Field(default_factory=dict)
+    ranges: dict[str, tuple[NumberOrInfinity, NumberOrInfinity]] = Field(default_factory=dict)
 
     def values(self) -> Iterator[tuple[str, str, str, float]]:
         """Name, side, place in the file and value of all that it gives itself, in the order in which that counts."""
@@ -172,8 +174,9 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
                 parameter_of(name)
         tolerance = base.tolerance if file.tolerance_rpm is None else RPM * file.tolerance_rpm
         pairs = {name: (pair[0], pair[1]) for name, pair in draft.values.items()}
+        ranges = {**ranges_of(base.ranges, pairs), **file.ranges}
         model = PlantModel(
-            base.name if file.name is None else file.name, pairs, tuple(draft.declared), tolerance
+            base.name if file.name is None else file.name, pairs, tuple(draft.declared), tolerance, ranges
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None

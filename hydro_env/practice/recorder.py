@@ -88,8 +88,8 @@ def columns_of(scales: Scales) -> dict[str, Column]:
     for name, column in COLUMNS.items():
         factor = scales.factor(_MEASURES.get(column.unit, ""))
         decimals = column.decimals + max(0, math.ceil(-math.log10(factor)))
-        sensor = {"noise": factor * column.noise, "resolution": factor * column.resolution}
-        found[name] = replace(column, decimals=decimals, **sensor)
+        noise, resolution = factor * column.noise, factor * column.resolution
+        found[name] = replace(column, decimals=decimals, noise=noise, resolution=resolution)
     return found
 
 
@@ -172,17 +172,21 @@ class _SpeedLoop:
         self.reset_time, self.period = np.full(2, 0.156), period  # s
         self.limit = np.array(given.pair("u_rated"))
         if not _of_the_papers_size(given):
-            self.ahead = np.zeros(2), np.zeros(2)
-        for c in (0, 1) if self.ahead is not None else ():
+            self.ahead = self._tune(given)
+        self.sum = np.zeros(2)  # rpm s
+
+    def _tune(self, given: PlantModel) -> tuple[Array, Array]:
+        """Sets the gains for a rig of another size, and gives what goes ahead."""
+        slope, edge = np.zeros(2), np.zeros(2)
+        for c in (0, 1):
             motor, at = _Motor.of(given, c), rated(given, c)
             spool = math.sqrt(given.value("k", c) / given.value("m", c))  # rad/s
-            volts = at["command"] / motor.full  # V/rpm
-            self.ahead[0][c] = volts
-            self.ahead[1][c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
+            slope[c] = at["command"] / motor.full
+            edge[c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
             integral = min(4.0, max(0.1, 0.25 * motor.decay), 0.1 * spool)  # 1/s
             self.reset_time[c] = min(max(motor.decay / motor.swing, 0.02), 0.5)
-            self.gain[c] = volts * integral * self.reset_time[c]
-        self.sum = np.zeros(2)  # rpm s
+            self.gain[c] = slope[c] * integral * self.reset_time[c]
+        return slope, edge
 
     def __call__(self, setpoint: Array, speed: Array) -> Array:
         error = setpoint - speed

@@ -1,4 +1,4 @@
-"""Pressures of both lines in the diagnosis: what they part, and what of them does not count."""
+"""Pressures of both lines in the diagnosis: what of them counts."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 from hydro_env.diagnosis.estimation import Fit, noise_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.calibration import as_given, calibrate
+from hydro_env.diagnosis.stages.calibration import as_given
 from hydro_env.diagnosis.stages.consistency import implausible
-from hydro_env.diagnosis.stages.screening import alike, screen
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import BAR
@@ -26,21 +25,6 @@ def _rig(folder: Path, record: Sequence[str], effects: Sequence[str] = ()) -> Dy
 def _fit(rig: DynamicRig) -> Fit:
     noise = {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]}
     return Fit(rig, noise_of(rig, as_given(Fit(rig, noise))))
-
-
-def _look_alike(rig: DynamicRig) -> dict[tuple[str, int | None], list[str]]:
-    fit = _fit(rig)
-    return alike(screen(fit, calibrate(fit, 2), ["external_leakage", "null_offset"], 4.0))
-
-
-def test_both_line_pressures_part_a_leak_from_a_null_offset_and_load_pressure_does_not(
-    tmp_path: Path,
-) -> None:
-    with_load_pressure = _look_alike(_rig(tmp_path / "one", ("pressure", "load")))
-    with_both_lines = _look_alike(_rig(tmp_path / "two", ("line_pressures", "load")))
-    for channel in (0, 1):
-        assert with_load_pressure["external_leakage", channel] == ["null_offset"]
-        assert with_both_lines["external_leakage", channel] == []
 
 
 def test_the_mean_of_both_lines_is_compared_and_its_level_is_not(tmp_path: Path) -> None:

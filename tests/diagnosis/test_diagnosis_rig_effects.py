@@ -83,7 +83,7 @@ def test_an_effect_of_the_rig_leads_where_it_promises_more_than_both_channels(
         ("load_bias", 0, 10.0),
         ("dead_zone", 1, two),
     ]
-    screening = [Screening(name, c, {}, gain, 100.0, np.ones(1)) for name, c, gain in rows]
+    screening = [Screening(name, c, {}, gain, 100.0) for name, c, gain in rows]
     assert rig_effect_leads(Search(fit, {}, screening, 3.0, {})) == leads
 
 

@@ -60,7 +60,7 @@ def test_the_smaller_set_is_named_unless_the_larger_one_explains_more(order: int
     best = better_set(*(alone, several)[::order])
     assert [k.effect for k in best.accepted] == ["flow_gain_nonlinearity"]
     # Little more than the price of the parameter that it saves parts them, so the name is not sure.
-    (named,) = naming.name_effects(_selection(best), [], best.present)
+    (named,) = naming.name_effects(_selection(best), best.present)
     assert 0.5 < named.probability < 0.9
     assert [c.outcome for c in best.candidates].count(OUTDONE) == 2
 
@@ -84,8 +84,8 @@ def test_a_name_that_leaves_more_than_the_noise_is_less_likely(left: float, fact
     proof = Proof(search.fit.rig, {(0, "speed"): {"noise": 1.0, "after": left}}, {})
     models = Models({}, search.calibrated, found, found, {})
     confirmed = Confirmed("effects", models, Proofs(proof, proof, proof, proof), [], [])
-    (named,) = naming.run(selection, [], confirmed)
-    (bare,) = naming.name_effects(selection, [], found)
+    (named,) = naming.run(selection, confirmed)
+    (bare,) = naming.name_effects(selection, found)
     assert bare.probability > 0.99
     assert named.probability == pytest.approx(factor * bare.probability, abs=1e-3)
 

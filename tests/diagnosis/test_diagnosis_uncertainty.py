@@ -206,7 +206,7 @@ def test_calibration_hides_a_wrong_scale_of_the_speed_and_not_a_dead_zone(tmp_pa
 
 def test_what_calibration_takes_up_but_for_next_to_nothing_is_hidden() -> None:
     def seen(visible: float, unprojected: float) -> Screening:
-        return Screening("sensor_gain", 0, {}, 0.0, visible, np.zeros(1), unprojected)
+        return Screening("sensor_gain", 0, {}, 0.0, visible, unprojected)
 
     assert seen(50.0, 1e4).hidden and not seen(50.0, 1e4).shows
     assert seen(213.0, 6.5e6).hidden and not seen(213.0, 6.5e6).shows

@@ -189,3 +189,24 @@ def test_neutral_values_presets_and_left_out_terms_pass_without_a_word(tmp_path:
         for name in preset_names():
             load_model(name).to_yaml(tmp_path / "model.yaml")
             assert load_model(tmp_path / "model.yaml") == load_model(name)
+
+
+def test_ranges_are_kept_until_a_value_leaves_them(tmp_path: Path) -> None:
+    file = {
+        "schema": "hydro_env/model/1",
+        "base": "rig",
+        "ranges": {"J": [0.002, 0.004], "flow_force.coefficient": [0, 2e-4]},
+    }
+    model = load_model(file)
+    model.to_yaml(tmp_path / "model.yaml", source="test")
+    again = load_model(tmp_path / "model.yaml")
+    assert again == model and again.ranges["J"] == (0.002, 0.004)
+    assert set(model.with_values({"J": 0.003}).ranges) == set(model.ranges)
+    assert set(model.with_values({"J": (0.003, 0.005)}).ranges) == {"flow_force.coefficient"}
+    assert set(model.without("flow_force").ranges) == {"J"}
+    for wrong, said in (
+        ({"J": [0.003, 0.004]}, "outside of its own range"),
+        ({"spring_preload.preload": [0, 1]}, "does not have the effect"),
+    ):
+        with pytest.raises(InputError, match=said):
+            load_model({**file, "ranges": wrong})

@@ -319,3 +319,29 @@ def test_commands_that_cannot_be_played_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words) as problem:
         run(["dead_zone:1"], tmp_path / "out", play=tmp_path / "commands.csv")
     assert "commands.csv" in str(problem.value) and not (tmp_path / "out").exists()
+
+
+def test_logs_of_a_large_rig_are_those_of_its_size() -> None:
+    """Loads, set-points, noise and what is hidden grow with the rig; ramps keep the lines near the supply's pressure."""
+    size = 24.0  # of a motor of 200 cm3 behind a valve of 10 V, at 250 bar
+    values = {
+        "D": size * 1.348e-6,
+        "J": 0.5,
+        "Km": 4e-12,
+        "V": 2e-3,
+        "B": 0.2,
+        "Kq": 3.0,
+        "u_rated": 10.0,
+        "R": 13.7,
+    }
+    model = load_model("paper").with_values({**values, "pressure_dependent_flow.supply_pressure": 250e5})
+    hidden = ["load_bias:1", "input_hysteresis:2"]
+    found = make_practice(hidden, model=model, duration=10.0, rate=100.0, seed=4, runs=("fit_2",))
+    bias, play = (next(iter(h.parameters.values())) for h in found.hidden)
+    assert 10.0 < abs(bias) < 60.0 and 0.1 < play < 1.0
+    log = found.logs["fit_2"]
+    assert np.abs(log["load_1_Nm"]).max() > 10.0
+    assert np.ptp(log["speed_2_rpm"]) > 50.0 and np.ptp(log["pressure_2_bar"]) < 2.5 * 250.0
+    wrong = {"load_bias.bias": 400.0}
+    with pytest.raises(InputError, match="out of range; expected -1"):
+        make_practice(["load_bias:1"], model=model, values=wrong)

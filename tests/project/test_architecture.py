@@ -35,6 +35,7 @@ ALLOWED = {
     "sb3": "errors envs",
     "multi_agent": "errors envs",
     "valve_bench": "errors files reading units pages waveforms plant measured",
+    "data_sheet": "errors files reading units validation plant valve_bench",
     "controllers": "errors files reading limits units validation jit waveforms plant tasks envs valve_bench",
     "datasets": "errors streams plant tasks controllers",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
@@ -45,8 +46,8 @@ ALLOWED = {
     "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs"
     " valve_bench controllers diagnosis benchmark",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark",
-    "cli": "errors files jit limits units plant practice tasks measured valve_bench controllers datasets diagnosis benchmark"
-    " training experiments export fmu_plant lab",
+    "cli": "errors files jit limits units plant practice tasks measured valve_bench data_sheet controllers datasets diagnosis"
+    " benchmark training experiments export fmu_plant lab",
     "__main__": "cli",
 }
 

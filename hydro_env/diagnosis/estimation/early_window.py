@@ -25,10 +25,8 @@ __all__ = ["best_on_early_window", "early_window_of", "grow_horizon"]
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
-#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs, and the share (that of the first) by
-#: which they are lengthened at least.
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs.
 HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-MIN_GROWTH = 0.02
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1
 #: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
@@ -90,11 +88,9 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
     starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(fit.rig, given))]
     seen.on(early_window_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
     starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: HORIZON_STARTS - KEPT_STARTS]
-    ahead, reached, good = [*HORIZONS], 0.0, starts
-    while ahead:
-        share = ahead[0]
+    for share in HORIZONS:
         beginning = seen.on(early_window_of(fit.rig, share))
-        starts = [p.at(p.q.copy()) for p in good]
+        starts = [p.at(p.q.copy()) for p in starts]
         solve(beginning, starts, SHORT_ITERATIONS if share < SHORT_HORIZON else ITERATIONS)
         starts.sort(key=lambda p: p.cost)
         del starts[KEPT_STARTS:]
@@ -103,11 +99,7 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             seen = beginning.on(fit.rig)
             beginning.rescore(starts)
         if not _followed(beginning, starts[0]):
-            if reached and share - reached > MIN_GROWTH:
-                ahead.insert(0, 0.5 * (reached + share))  # not so far at once
-                continue
             break  # something is missing that this effect does not make up for
-        reached, good = ahead.pop(0), starts
     for start in starts:
         start.columns = {}
     fit.evaluate(starts)

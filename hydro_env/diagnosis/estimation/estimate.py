@@ -19,13 +19,11 @@ Vector = np.ndarray
 
 @dataclass(frozen=True)
 class Intervals:
-    """`low` and `high` (k,) hold 95 % of the replicas' estimates of q. `draws` (m, k) are some of the replicas' estimates.
-    `learned` (k,) is the share of the variance of each prior that the logs take away."""
+    """`low` and `high` (k,) hold 95 % of the replicas' estimates of q. `draws` (m, k) are some of the replicas' estimates."""
 
     low: Vector
     high: Vector
     draws: Vector
-    learned: Vector = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(eq=False)

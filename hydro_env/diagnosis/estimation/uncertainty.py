@@ -43,13 +43,11 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
     whole = matrices.sum(axis=0) + prior
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
-    spread = TWO_SIDED_95 * deviation
+    spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
     draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
-    learned = 1.0 - np.minimum(deviation, 1.0) ** 2
-    return Intervals(low, high, draws.reshape(DRAWS, size), learned)
+    return Intervals(low, high, draws.reshape(DRAWS, size))
 
 
 def nearest_inside(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from ...plant.parameters import SCALINGS
 
 __all__ = [
     "SCALED_TOGETHER", "Unknown", "base_unknown", "bases_of", "effect_starts", "effect_unknowns", "given_unknown", "less_taken",
-    "limited_by_effects", "scaled",
+    "limited_by_effects", "scaled", "within",
 ]  # fmt: skip
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range): data sheets leave as much
@@ -160,6 +160,13 @@ def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
     usual = abs(p.typical - p.neutral) if p.carries_size else high - low
     scale = 0.15 * (high - low) if p.role == "phase" else spread * max(abs(value), 0.25 * usual)
     return Unknown(name, p.unit, value, low, high, min(scale, (high - low) / 4.0), False, p.role != "phase")
+
+
+def within(unknown: Unknown, low: float, high: float) -> Unknown:
+    """An unknown whose plausible range is known beforehand; the range is four standard deviations of its prior wide."""
+    low = max(low, unknown.center / 20.0) if unknown.log else low
+    wide = unknown.scale * (unknown.q(high) - unknown.q(low))
+    return replace(unknown, low=low, high=high, scale=max(0.25 * wide, 1e-6), prior=True)
 
 
 def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:

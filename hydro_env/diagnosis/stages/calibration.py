@@ -22,6 +22,7 @@ from ..estimation import (
     noise_of,
     restart_friction,
     solve,
+    within,
 )
 from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats
@@ -86,6 +87,8 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
         else:
             parameter = rig.own[name] if name in rig.own else scales.parameter(parameter_of(name))
             unknown = base_unknown(parameter, value, name in limited)
+        if name in rig.model.ranges:
+            unknown = within(unknown, *rig.model.ranges[name])
         if chosen is not None and (bounds := chosen[name]):
             unknown = replace(unknown, low=bounds[0], high=bounds[1])
         of_rig = effect and CATALOGUE[effect].scope == "rig"

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, far_from_noise, grow_horizon, solve
+from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
 from ..models.base import effect_in, given_effects
 from .candidates import Attempt, Selection, penalty_per_parameter
@@ -122,12 +122,7 @@ def correct(
     for number in range(MAX_CORRECTIONS):
         if not fit.rig.has_hidden_states or fit.at_noise(estimate):
             break
-        if number and far_from_noise(fit, estimate):
-            break  # with the form put right that matters most, what is left is no matter of form
-        if estimate in known:
-            best = known[estimate]
-        else:
-            best = best_attempt(fit, estimate, named, [k.correction for k in kept])
+        best = known.get(estimate) or best_attempt(fit, estimate, named, [k.correction for k in kept])
         if best is None:
             break
         better = replace(best.estimate)
@@ -182,8 +177,6 @@ def correct_all(
     every: list[Correction] = []
     for one in distinct(estimates):
         names = [(effect, channel) for effect, channel in named if one.channel in (None, channel)]
-        if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
-            continue
         better, kept = correct(fit, one, names, known)
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept

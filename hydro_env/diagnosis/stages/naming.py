@@ -12,7 +12,6 @@ from ..estimation import Estimate, Fit, probability_of_gain
 from ..logs import Estimates
 from ..models.base import effect_in
 from .candidates import Accepted, Selection
-from .screening import Screening, alike
 from .validation import AT_NOISE
 from .values import Interval, effect_values, row_of, widened_by_form
 from .verdict import Confirmed
@@ -55,9 +54,9 @@ class NamedEffect:
         }  # fmt: skip
 
 
-def run(selection: Selection, screening: Sequence[Screening], found: Confirmed) -> list[NamedEffect]:
+def run(selection: Selection, found: Confirmed) -> list[NamedEffect]:
     """Names the effects that were found; less likely are those of a verdict `unknown` and those that leave something."""
-    named = name_effects(selection, screening, found.models.final)
+    named = name_effects(selection, found.models.final)
     return [replace(n, probability=round(_trust(found, n) * n.probability, 3)) for n in named]
 
 
@@ -72,19 +71,15 @@ def _trust(found: Confirmed, named: NamedEffect) -> float:
     return INCOMPLETE if judged.rig.has_hidden_states and left > AT_NOISE else 1.0
 
 
-def name_effects(selection: Selection, screening: Sequence[Screening], final: Estimates) -> list[NamedEffect]:
+def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:
     """The effects with probability, competing candidates and values; equal ones on both channels become one of both.
 
     Values are those of `final`, where forms may be corrected; nothing else depends on that.
     """
-    same, fit = alike(screening), selection.logs.fit
-    found = []
+    fit, found = selection.logs.fit, []
     for one in selection.accepted:
         c = fit.rig.channels[0] if one.channel is None else one.channel
-        # Alike by direction is not enough: a competing candidate must also have done nearly as well when it was refitted.
         competitors = sorted(one.competing, key=lambda n: one.competing[n])
-        tied = same.get((one.effect, one.channel), [])
-        competitors += [n for n in tied if n not in competitors and _did_nearly_as_well(selection, one, n)]
         channels = () if one.channel is None else (one.channel,)
         probability = _probability(fit, one, competitors, selection.estimates[c])
         bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
@@ -105,11 +100,6 @@ def _probability(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: 
     if one.without is not None and one.without.channel == estimate.channel:
         likely = min(likely, probability_of_gain(fit, one.without, estimate, one.needed))
     return likely / weight
-
-
-def _did_nearly_as_well(selection: Selection, one: Accepted, name: str) -> bool:
-    own = (k for k in selection.candidates if (k.effect, k.channel) == (name, one.channel) and k.refitted)
-    return any(k.gain > (1.0 - selection.logs.fit.settings.tied_share) * one.gain for k in own)
 
 
 def _merged(found: list[NamedEffect]) -> list[NamedEffect]:

@@ -80,7 +80,7 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
     found = min(looks, key=lambda p: p.cost)
     gain = fit.gain(bare, found)
     start = {n.removeprefix(f"{EFFECT}."): v for n, v in found.values(c).items() if n.startswith(EFFECT)}
-    return Screening(EFFECT, c, start, gain, 0.0, np.zeros(0)) if gain > penalty(fit, EFFECT) else None
+    return Screening(EFFECT, c, start, gain, 0.0) if gain > penalty(fit, EFFECT) else None
 
 
 def _looks(fit: Fit, bare: Estimate, c: int, points: Vector) -> list[Estimate]:

@@ -1,8 +1,8 @@
 """What every effect of the catalogue would look like in these logs: its signature beside the calibrated model.
 
 One simulation per effect and size. A signature is the change of all signals; what calibration could absorb of it is
-projected off. From it follow, at once, whether the effect could be seen at all here (`detectable`), which effects look
-alike (`alike`), and how much of the present residual each could explain (`screen`). Finite sizes are used because a dead
+projected off. From it follow, at once, whether the effect could be seen at all here (`detectable`), and how much of the present
+residual each could explain (`screen`). Finite sizes are used because a dead
 zone, play or stiction has no useful derivative at zero.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from ..estimation import Estimate, Fit, could_pay, effect_starts, joined
 from ..logs import Estimates, Logs, place_of
 from ..models.base import effect_in
 
-__all__ = ["Screening", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
+__all__ = ["Screening", "detectable", "hidden_by_calibration", "run", "screen"]
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what
 #: three parameters must pay for (`candidates.penalty`), the most that the size of an effect of the catalogue has.
@@ -27,18 +26,14 @@ VISIBLE = 60.0
 #: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up, a hundredth of
 #: the amplitude: derivatives at one place never take all of it.
 ABSORBED = 1e-4
-#: Cosine from which two projected signatures count as the same: one then explains all but 8 % of the other, which is within
-#: `Settings.tied_share`.
-SAME_DIRECTION = 0.96
 
 
 @dataclass(frozen=True)
 class Screening:
     """An effect on a channel (None: the rig) at the size that explains most of the residual.
 
-    `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
-    units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
-    `unprojected` is the squared length before projection.
+    `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise units
+    after projection, of all channels, `unprojected` that before projection.
     """
 
     effect: str
@@ -46,7 +41,6 @@ class Screening:
     start: dict[str, float]
     gain: float
     visible: float
-    signature: np.ndarray
     unprojected: float = 0.0
 
     @property
@@ -142,11 +136,9 @@ def _screening(
     noise: Mapping[int, _Projector],
 ) -> Screening:  # fmt: skip
     """The result for an effect that makes the changes `medium` at its medium size, by channel."""
-    signature = np.concatenate([noise[c](change) for c, change in medium.items()])
-    size = float(signature @ signature)
+    size = sum(float(np.sum(noise[c](change) ** 2)) for c, change in medium.items())
     unprojected = sum(float(np.sum((change * noise[c].weights) ** 2)) for c, change in medium.items())
-    direction = signature / max(np.sqrt(size), 1e-30)
-    return Screening(effect, channel, start, gain, size, direction, unprojected)
+    return Screening(effect, channel, start, gain, size, unprojected)
 
 
 def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
@@ -202,13 +194,3 @@ def hidden_by_calibration(screening: Sequence[Screening]) -> dict[str, list[str]
         if one.hidden:
             found.setdefault(one.effect, []).append(place_of(one.channel))
     return {name: sorted(found[name]) for name in CATALOGUE if name in found}
-
-
-def alike(screening: Sequence[Screening]) -> dict[tuple[str, int | None], list[str]]:
-    """For every effect on a channel the visible ones whose signature has the same direction, whatever the sign."""
-    seen = [k for k in screening if k.visible > VISIBLE]
-    found: dict[tuple[str, int | None], list[str]] = {(k.effect, k.channel): [] for k in seen}
-    for a, b in permutations(seen, 2):
-        if a.channel == b.channel and abs(float(a.signature @ b.signature)) > SAME_DIRECTION:
-            found[a.effect, a.channel].append(b.effect)
-    return found

@@ -232,9 +232,9 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
     if not presents:
         return {}
     found = zip(presents, best_on_early_window(fit, [*presents.items()], names), strict=True)
-    # The best so far has been refitted for longer; then the best of the others is, too.
+    # The best so far has been settled; then the best of the others is, too.
     others = {c: [*refits[c][1:], *own] for c, own in found}
-    solve(fit, [p for own in others.values() for p in own], SETTLE_ITERATIONS)
+    solve(fit, [p for own in others.values() for p in own], FULL_ITERATIONS)
     others = {c: _ranked(fit, own) for c, own in others.items()}
     search.settle([p for own in others.values() for p in own[:1]])
     return {c: _ranked(fit, [*own, refits[c][0]]) for c, own in others.items()}

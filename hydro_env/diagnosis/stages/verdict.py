@@ -66,16 +66,13 @@ class Confirmed:
     elsewhere: list[str]
 
 
-def confirm(
-    selection: Selection, verdict: str, models: Models, proofs: Proofs, determined: bool
-) -> Confirmed:
+def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) -> Confirmed:
     """The verdict by the held-out logs: names that are doubted are not confirmed, and not corrected either.
 
-    Held-out logs that seem to be of another rig or state judge nothing. `determined` is whether the fit logs determine the known
-    parameters.
+    Held-out logs that seem to be of another rig or state judge nothing.
     """
     logs = selection.logs
-    elsewhere = list(_elsewhere(logs, verdict, models.final, proofs)) if determined else []
+    elsewhere = list(_elsewhere(logs, proofs))
     found = []
     if verdict == "effects" and not elsewhere:
         found = doubts(logs, selection.accepted, models.final, proofs)
@@ -86,25 +83,17 @@ def confirm(
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
 
 
-def _elsewhere(logs: Logs, verdict: str, final: Estimates, proofs: Proofs) -> Iterator[str]:
-    """What of the held-out logs is not as in the fit logs, which the same model explains to the noise.
+def _elsewhere(logs: Logs, proofs: Proofs) -> Iterator[str]:
+    """Coil currents of the held-out logs that are off, of coils that the same model explains to the noise in the fit logs.
 
-    The coil comes first: nothing but the command acts on its current, so that one that is off means another coil or temperature.
-    Other signals say so only where nothing is named: an effect may fit the logs that it was chosen by.
+    Nothing but the command acts on a current, so that this means another coil or temperature.
     """
-    if not logs.rig.has_hidden_states:
-        return
-    every, held_out = verdict in ("none", "calibration"), logs.fit.on(logs.held_out)
-    for (c, signal), there in sorted(proofs.judged.errors.items(), key=lambda item: item[0][1] != "current"):
+    for (c, signal), there in proofs.judged.errors.items():
         here = proofs.judged_fit.errors[c, signal]
-        times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
-        if not (every or signal == "current") or times < logs.fit.settings.unexplained or before > AT_NOISE:
-            continue
-        if predictions_apart(held_out, final[c], c).get(signal, 0.0) < times:
-            further = there["after"] > AT_NOISE * there["before"]
-            worse = ", worse than by the model as given" if further else ""
-            name = "coil current" if signal == "current" else signal.replace("_", " ")
-            yield f"the {name} of channel {c + 1} is left {times:.2g} times its noise there{worse}"
+        off = there["after"] > logs.fit.settings.unexplained * there["noise"]
+        if signal == "current" and off and here["after"] < AT_NOISE * here["noise"]:
+            left = there["after"] / there["noise"]
+            yield f"the coil current of channel {c + 1} is left {left:.2g} times its noise there"
 
 
 def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: Proofs) -> list[str]:

@@ -1,0 +1,14 @@
+"""From data sheets to a model of the rig.
+
+sheet.py        the file of a data sheet, its template, and questions on a terminal
+quantities.py   what is known: given, or a class value with a range
+derive.py       formulas from there to the parameters of the model
+simulated.py    the data sheet of a model, measured on the simulated plant
+fit.py          what no formula gives: simulated as given
+describe.py     the model with its sources and ranges, both data sheets, the assumptions
+"""
+
+from hydro_env.data_sheet.describe import Described, describe, write
+from hydro_env.data_sheet.sheet import DataSheet, ask, read_sheet, template
+
+__all__ = ["DataSheet", "Described", "ask", "describe", "read_sheet", "template", "write"]

@@ -1,0 +1,190 @@
+"""From the quantities of a data sheet to the parameters of a model, by formulas that can be undone.
+
+What no formula gives (how far hysteresis, step response and frequencies follow from friction, damping and the coil together) is
+left to `Fitted`, numbers by which `fit.py` makes the simulated data sheet that of the paper.
+
+Logs and data sheets fix only ratios of spool mass, spring, force and friction (`plant.parameters.SCALINGS`). Here the spring is
+the base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's
+power.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hydro_env.plant import PARAMETERS
+from hydro_env.plant.catalogue.supply import steady_droop
+from hydro_env.units import BAR, LPM, MILLIMETRE, MILLISECOND, REVOLUTION, RPM
+
+__all__ = ["EFFECTS", "HOW", "Fitted", "parameters", "total_drop"]
+
+DENSITY = 870.0  # kg/m3, mineral oil
+#: The effects of every model that is derived here; `crossport_relief` where the sheet has it.
+EFFECTS = (
+    "magnetic_hysteresis", "dead_zone", "pressure_dependent_flow", "supply_droop", "entrained_air", "line_loss",
+    "motor_coulomb_friction",
+)  # fmt: skip
+
+#: Where each value comes from, in words; effects as a whole unless a parameter is named.
+HOW = {
+    "D": "displacement",
+    "J": "inertia of motor and load",
+    "B": "viscous part of the mechanical losses",
+    "Km": "leakage by the volumetric efficiency, laminar",
+    "beta": "oil and yielding walls in series (Merritt 1967, ch. 1)",
+    "V": "both lines and half the motor's displacement in each, in series",
+    "m": "by the natural frequency of the spool",
+    "R": "rated command over rated current",
+    "L": "lag of the coil or of the amplifier's current loop",
+    "alpha": "rated force over rated current",
+    "k": "a scale: only its ratio to mass, force and friction is known",
+    "C": "by the damping ratio of the spool",
+    "Kq": "rated flow over rated opening, at the supply pressure by the root of the drops (Merritt 1967, ch. 5)",
+    "Fc": "dry friction's share of the hysteresis",
+    "Fs": "as Fc, with a peak of one half without spool feedback (assumed)",
+    "vs": "assumed: as the base plant's at this travel",
+    "s0": "assumed: bristles yield at about a thousandth of the travel, as the base plant's",
+    "s1": "assumed: damping ratio 0.5 of the spool on its bristles",
+    "s2": "all viscous damping is in C",
+    "x_max": "assumed: stops at 116 % of the rated travel, as the base plant's",
+    "k_stop": "assumed: as stiff against the spring as the base plant's",
+    "u_rated": "rated command",
+    "magnetic_hysteresis": "the rest of the hysteresis; width assumed, 4 % of the rated current",
+    "dead_zone": "overlap as a share of the rated travel",
+    "pressure_dependent_flow": "supply pressure",
+    "supply_droop": "loss of the supply while both valves are fully open",
+    "entrained_air": "free air, which acts as in lines at half the supply",
+    "line_loss": "friction of both lines (Blasius, or laminar) and fittings (Darcy-Weisbach)",
+    "crossport_relief": "relief valves between the ports; slope by their override at full flow",
+    "motor_coulomb_friction": "dry part of the mechanical losses, static friction by the starting torque; Stribeck speed assumed",
+}
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What is found by simulation: factors on the natural frequency, hysteresis and rated flow, damping ratio and coil lag where
+    they are not assumed."""
+
+    frequency: float = 1.0
+    hysteresis: float = 1.0
+    flow: float = 1.0
+    damping: float | None = None
+    coil_lag: float | None = None
+
+
+def total_drop(q: Mapping[str, float]) -> float:
+    """Pressure drop over the whole valve at the rated flow, Pa."""
+    return q["edges"] * q["at_pressure_drop_bar"] * BAR
+
+
+def full_flow(q: Mapping[str, float]) -> float:
+    """Flow of the open valve at the supply pressure, m3/s."""
+    return q["rated_flow_lpm"] * LPM * math.sqrt(q["pressure_bar"] * BAR / total_drop(q))
+
+
+def parameters(
+    q: Mapping[str, float],
+    fitted: Fitted,
+    scale_of: Mapping[str, float] | None = None,
+    other_flow: float | None = None,
+) -> dict[str, float]:
+    """The values of one channel by name, SI. `scale_of` are values whose spring and rated travel are kept; `other_flow` is the
+    full flow of the other channel, m3/s (None: the same)."""
+    both = full_flow(q) * 2.0 if other_flow is None else full_flow(q) + other_flow
+    return {**_valve(q, fitted, scale_of), **_motor(q), **_lines(q), **_supply(q, both)}
+
+
+def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float] | None) -> dict[str, float]:
+    base = {name: p.nominal for name, p in PARAMETERS.items()}
+    omega = fitted.frequency * 2.0 * math.pi * _natural_frequency(q)
+    damping = q["damping"] if fitted.damping is None else fitted.damping
+    power = q["volts"] * q["ampere"]
+    if scale_of is None:
+        least, most = PARAMETERS["m"].possible
+        k = omega**2 * min(max(base["k"] / omega**2, least), most)
+        travel = math.sqrt(0.4 * damping * power / (k * omega))
+        travel = min(max(travel, 1e-4), base["alpha"] * base["u_rated"] / base["R"] / base["k"])
+    else:
+        k, travel = scale_of["k"], scale_of["alpha"] * q["ampere"] / scale_of["k"]
+    force, resistance = k * travel, q["volts"] / q["ampere"]
+    m, alpha = k / omega**2, force / q["ampere"]
+    loop = fitted.hysteresis * q["hysteresis_percent"] / 100.0 * force
+    dry = 0.5 * loop * q["friction_share"]
+    bristle = max(dry / (travel * 1.2e-3), PARAMETERS["s0"].possible[0])
+    lag = (q.get("coil_lag", 0.0) if fitted.coil_lag is None else fitted.coil_lag) / omega
+    inductance = q["coil_inductance_mH"] / 1000.0 if "coil_inductance_mH" in q else lag * resistance
+    overlap = q["dead_band_percent"] / 100.0 * travel
+    drop = math.sqrt(q["pressure_bar"] * BAR / total_drop(q))
+    size = travel / (base["alpha"] * base["u_rated"] / base["R"] / base["k"])
+    return {
+        "m": m, "R": resistance, "alpha": alpha, "k": k, "u_rated": q["volts"],
+        "L": max(inductance, PARAMETERS["L"].possible[0]),
+        "C": max(2.0 * damping * m * omega - alpha**2 / resistance, 0.0),
+        "Kq": fitted.flow * q["rated_flow_lpm"] * LPM / (travel - overlap) * drop,
+        "Fc": dry, "Fs": dry * (1.0 if q["friction_share"] == 1.0 else 1.5), "vs": base["vs"] * size,
+        "s0": bristle, "s1": max(math.sqrt(bristle * m), PARAMETERS["s1"].possible[0]), "s2": 0.0,
+        "x_max": base["x_max"] * size, "k_stop": base["k_stop"] * k / base["k"],
+        "dead_zone.overlap_positive": overlap, "dead_zone.overlap_negative": overlap,
+        "magnetic_hysteresis.amplitude": 0.5 * loop * (1.0 - q["friction_share"]),
+        "magnetic_hysteresis.width": 0.04 * q["ampere"],
+    }  # fmt: skip
+
+
+def _natural_frequency(q: Mapping[str, float]) -> float:
+    """A first guess, Hz."""
+    for key in ("frequency_minus_90_deg_Hz", "frequency_minus_3_dB_Hz"):
+        if key in q:
+            return q[key]
+    return 0.45 / (q["step_response_ms"] * MILLISECOND)
+
+
+def _motor(q: Mapping[str, float]) -> dict[str, float]:
+    displacement = q["displacement_cm3"] * 1e-6 / REVOLUTION
+    pressure, speed = q["at_pressure_bar"] * BAR, q["at_speed_rpm"] * RPM
+    lost = (1.0 - q["mechanical_efficiency_percent"] / 100.0) * displacement * pressure
+    dry = q["dry_share"] * lost
+    if "starting_torque_percent" in q:
+        static = (
+            (1.0 - q["starting_torque_percent"] / 100.0) * displacement * q["starting_torque_at_bar"] * BAR
+        )
+        dry = min(dry, static)
+    else:
+        static = q["static_over_dry"] * dry
+    leaked = displacement * speed * (100.0 / q["volumetric_efficiency_percent"] - 1.0)
+    return {
+        "D": displacement, "J": q["inertia_kgm2"], "B": (lost - dry) / speed, "Km": leaked / pressure,
+        "motor_coulomb_friction.coulomb": dry, "motor_coulomb_friction.static": static,
+        "motor_coulomb_friction.stribeck_speed": 3.0,
+    }  # fmt: skip
+
+
+def _lines(q: Mapping[str, float]) -> dict[str, float]:
+    bore, length, flow = q["bore_mm"] * MILLIMETRE, q["length_m"], full_flow(q)
+    area = math.pi / 4.0 * bore**2
+    # 20 K of warming halve the viscosity of such an oil.
+    viscosity = 1e-6 * q["oil_viscosity_grade"] * 2.0 ** ((40.0 - q["oil_temperature_C"]) / 20.0)
+    reynolds = flow / area * bore / viscosity
+    friction = 64.0 / reynolds if reynolds < 2300.0 else 0.316 / reynolds**0.25
+    loss = 2.0 * (friction * length / bore + q["fittings"]) * DENSITY / (2.0 * area**2)
+    oil, wall = q["oil_bulk_modulus_bar"] * BAR, q["wall_bulk_modulus_bar"] * BAR
+    found = {
+        "V": 0.5 * (area * length + 0.5e-6 * q["displacement_cm3"]),
+        "beta": 1.0 / (1.0 / oil + 1.0 / wall),
+        "line_loss.coefficient": loss,
+        "entrained_air.fraction": q["oil_air_percent"] / 100.0,
+    }
+    if "crossport_relief_bar" in q:
+        relief = q["crossport_relief_bar"] * BAR
+        found["crossport_relief.relief_pressure"] = relief
+        found["crossport_relief.conductance"] = flow / (q["override_percent"] / 100.0 * relief)
+    return found
+
+
+def _supply(q: Mapping[str, float], flow_of_both: float) -> dict[str, float]:
+    return {
+        "pressure_dependent_flow.supply_pressure": q["pressure_bar"] * BAR,
+        "supply_droop.relative_drop": q["droop_percent"] / 100.0 / steady_droop(flow_of_both, 0.0, 1.0),  # type: ignore[no-untyped-call]
+        "supply_droop.time_constant": q["droop_ms"] * MILLISECOND,
+    }

@@ -1,0 +1,216 @@
+"""A model of a rig from its data sheets, with the given data sheet beside the simulated one and all that was assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hydro_env.data_sheet.derive import EFFECTS, HOW, Fitted, full_flow, parameters
+from hydro_env.data_sheet.fit import fit
+from hydro_env.data_sheet.quantities import Quantity, quantities
+from hydro_env.data_sheet.sheet import DataSheet
+from hydro_env.data_sheet.simulated import motor_figures, rig_figures
+from hydro_env.errors import InputError
+from hydro_env.files import write_json, write_text
+from hydro_env.plant import PlantModel, parameter_of, scales_of
+
+__all__ = ["SCHEMA", "Described", "Figure", "describe", "write"]
+
+SCHEMA = "hydro_env/describe/1"
+#: Relative deviation of the simulated from the given figure that is marked, and what is never marked, in the figure's unit.
+_MARKED, _NEVER = 0.05, 0.2
+#: By which the range of a parameter is wider than its assumptions make it: data sheets leave as much open themselves.
+_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of a data sheet: `given` is None where the sheet has none, `assumed` where a class value stands for it."""
+
+    channel: int
+    key: str
+    given: float | None
+    assumed: bool
+    simulated: float
+
+    @property
+    def deviation_percent(self) -> float | None:
+        """Of the simulated from the given figure."""
+        return None if not self.given else 100.0 * (self.simulated / self.given - 1.0)
+
+    @property
+    def marked(self) -> bool:
+        """Whether the model does not do what the sheet says."""
+        given = self.simulated if self.given is None else self.given
+        return not abs(self.simulated - given) <= max(_MARKED * abs(given), _NEVER)
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """A quantity that no sheet gives, in the unit of its key, and the parameters that rest on it."""
+
+    channel: int
+    key: str
+    value: float
+    low: float
+    high: float
+    why: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Described:
+    """A model, where its values are from, its simulated data sheet, and what was assumed."""
+
+    model: PlantModel
+    sources: dict[str, str]
+    figures: list[Figure]
+    assumptions: list[Assumption]
+
+
+@dataclass
+class _Channel:
+    """A channel while it is described: what is known of it, and what was found by simulation."""
+
+    number: int
+    known: dict[str, Quantity]
+    other_flow: float
+    fitted: Fitted = field(default_factory=Fitted)
+
+    @property
+    def q(self) -> dict[str, float]:
+        return {key: quantity.value for key, quantity in self.known.items()}
+
+    def parameters(self, fitted: Fitted | None = None) -> dict[str, float]:
+        return parameters(self.q, fitted or self.fitted, None, self.other_flow)
+
+    def moved(self, key: str, value: float) -> dict[str, float]:
+        """The parameters if a quantity were another, on the same spring and travel."""
+        return parameters({**self.q, key: value}, self.fitted, self.parameters(), self.other_flow)
+
+
+def describe(sheet: DataSheet) -> Described:
+    """The model of a data sheet. InputError for values that no such component has."""
+    known = [quantities(sheet, channel) for channel in (0, 1)]
+    flows = [full_flow({key: quantity.value for key, quantity in each.items()}) for each in known]
+    channels = [_Channel(c, known[c], flows[1 - c]) for c in (0, 1)]
+    if known[0] == known[1]:
+        del channels[1]
+    simulated = {}
+    for c in channels:
+        c.fitted, simulated[c.number] = fit(c.q, c.number, partial(_one_model, sheet, c))
+    model = _model(sheet, [c.parameters() for c in channels])
+    figures = []
+    for c in channels:
+        found = {**simulated[c.number], **motor_figures(model, c.number, c.q), **rig_figures(model, c.number)}
+        for key, value in found.items():
+            given = c.known.get(key)
+            printed = None if given is None else given.value
+            figures.append(Figure(c.number + 1, key, printed, given is not None and given.assumed, value))
+    assumptions = [row for c in channels for row in _assumptions(c)]
+    return Described(
+        replace(model, ranges=_ranges(model, channels, assumptions)), _sources(sheet, channels), figures, assumptions
+    )  # fmt: skip
+
+
+def _one_model(sheet: DataSheet, c: _Channel, fitted: Fitted) -> PlantModel:
+    return _model(sheet, [c.parameters(fitted)])
+
+
+def _model(sheet: DataSheet, channels: list[dict[str, float]]) -> PlantModel:
+    one, two = channels[0], channels[-1]
+    names = dict.fromkeys((*one, *two))
+    pairs = {n: (one.get(n, parameter_of(n).nominal), two.get(n, parameter_of(n).nominal)) for n in names}
+    try:
+        return PlantModel(sheet.name, pairs, EFFECTS)
+    except InputError as problem:
+        raise InputError(f"no model has these values: {str(problem).partition(': ')[2]}") from None
+
+
+def _assumptions(c: _Channel) -> list[Assumption]:
+    rows, nominal = [], c.parameters()
+    for key, quantity in c.known.items():
+        if quantity.low is None or quantity.high is None or getattr(c.fitted, key, None) is not None:
+            continue
+        ends = [c.moved(key, end) for end in (quantity.low, quantity.high)]
+        names = tuple(
+            n for n, v in nominal.items() if any(not math.isclose(e[n], v, rel_tol=1e-9) for e in ends)
+        )
+        rows.append(
+            Assumption(c.number + 1, key, quantity.value, quantity.low, quantity.high, quantity.why, names)
+        )
+    return [row for row in rows if row.parameters or row.low == row.high]
+
+
+def _ranges(
+    model: PlantModel, channels: list[_Channel], assumptions: list[Assumption]
+) -> dict[str, tuple[float, float]]:
+    """What the assumptions leave open of each parameter, one at a time."""
+    ranges: dict[str, tuple[float, float]] = {}
+    for row in assumptions:
+        c = channels[row.channel - 1] if len(channels) > 1 else channels[0]
+        ends = [c.moved(row.key, end) for end in (row.low, row.high)]
+        for name in row.parameters:
+            possible = scales_of(model, c.number).parameter(parameter_of(name)).possible
+            every = [*model.pair(name), *ranges.get(name, ()), *(end[name] for end in ends)]
+            low, high = min(every) * (1.0 - _TOLERANCE), max(every) * (1.0 + _TOLERANCE)
+            ranges[name] = (max(low, min(possible[0], min(every))), min(high, possible[1]))
+    return ranges
+
+
+def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
+    """Where each value is from: how, and from which keys of the sheet and which assumptions."""
+    texts: dict[str, dict[str, None]] = {}
+    for c in channels:
+        nominal = c.parameters()
+        used: dict[str, list[str]] = {name: [] for name in nominal}
+        for key, quantity in c.known.items():
+            near = c.moved(key, 1.01 * quantity.value or 0.01)
+            text = f"{key} {quantity.value:.4g}" + " (assumed)" * quantity.assumed
+            for name, value in nominal.items():
+                if not math.isclose(near[name], value, rel_tol=1e-9):
+                    used[name].append(text)
+        for name, keys in used.items():
+            how = HOW.get(name) or HOW[name.partition(".")[0]]
+            texts.setdefault(name, {})[f"{how}; {', '.join(keys)}" if keys else how] = None
+    tables = [f"{name}: {table.source}" for name, table in sheet.tables(0).items() if table.source]
+    printed = f" [{'; '.join(tables)}]" if tables else ""
+    return {name: " / ".join(each) + printed for name, each in texts.items()}
+
+
+# --- what is written --------------------------------------------------------------------------------------------------
+def write(found: Described, folder: Path) -> str:
+    """Writes model.yaml, describe.json and describe.txt into a folder; the text of the last."""
+    found.model.to_yaml(folder / "model.yaml", found.sources)
+    rows = [{**vars(f), "deviation_percent": f.deviation_percent, "marked": f.marked} for f in found.figures]
+    data = {"schema": SCHEMA, "figures": rows, "assumptions": [vars(row) for row in found.assumptions]}
+    write_json(folder / "describe.json", data)
+    text = _text(found)
+    write_text(folder / "describe.txt", text + "\n")
+    return text
+
+
+def _text(found: Described) -> str:
+    lines = [f"{found.model.name:36}{'given':>12}{'simulated':>12}    (...) assumed"]
+    channels = {figure.channel for figure in found.figures}
+    for f in found.figures:
+        given = "-" if f.given is None else f"({f.given:.4g})" if f.assumed else f"{f.given:.4g}"
+        mark = "  <- not what the sheet says" if f.marked else ""
+        of = f" {f.channel}" if len(channels) > 1 else ""
+        lines.append(f"  {f.key + of:34}{given:>12}{f.simulated:>12.4g}{mark}")
+    if any(f.marked for f in found.figures):
+        lines.append(
+            "No model of this kind does all that the sheet says: check the marked figures and their conditions."
+        )
+    lines.append("\nassumed, as the sheet does not say; what is measured instead goes into the sheet")
+    rows: dict[tuple[Any, ...], list[int]] = {}
+    for row in found.assumptions:
+        rows.setdefault((row.key, row.value, row.low, row.high, row.why), []).append(row.channel)
+    for (key, value, low, high, why), at in rows.items():
+        name = f"{key} {at[0]}" if len(at) < len(channels) else key
+        span = "" if low == high else f"{low:.4g} to {high:.4g}"
+        lines.append(f"  {name:34}{value:>12.4g}  {span:20}{why}")
+    return "\n".join(lines)

@@ -1,0 +1,197 @@
+"""What is known of a rig: each quantity of its data sheets in the sheet's unit, given or assumed with a range.
+
+The assumed values are class values: what data sheets of such components have in common, not one data sheet. None of them is from
+a standard. They stand in this file and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Oil, Supply, Valve
+from hydro_env.units import LPM
+
+__all__ = ["Quantity", "quantities"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number in the unit that its key ends in. `low` and `high` are None for what the sheet gives; `why` for the rest."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    why: str = ""
+
+    @property
+    def assumed(self) -> bool:
+        """Whether it is an assumption."""
+        return self.low is not None
+
+
+#: value, low, high of the class. `damping`: damping ratio of the spool; `coil_lag`: time constant of the coil over the period of
+#: the spool's oscillation divided by 2 pi; `friction_share`: share of the hysteresis that is dry friction, the rest is magnetic.
+_VALVES = {
+    "proportional valve": {
+        "dead_band_percent": (15.0, 5.0, 30.0), "hysteresis_percent": (5.0, 3.0, 8.0), "step_response_ms": (50.0, 25.0, 100.0),
+        "damping": (0.5, 0.3, 1.0), "coil_lag": (1.0, 0.3, 2.0), "friction_share": (0.5, 0.2, 0.8),
+    },
+    "valve with spool feedback": {
+        "dead_band_percent": (10.0, 0.0, 25.0), "hysteresis_percent": (0.5, 0.1, 1.0), "step_response_ms": (20.0, 10.0, 40.0),
+        "damping": (0.7, 0.5, 1.0), "coil_lag": (0.12, 0.05, 0.3), "friction_share": (1.0, 1.0, 1.0),
+    },
+    "servo valve": {
+        "dead_band_percent": (0.0, 0.0, 3.0), "hysteresis_percent": (1.0, 0.2, 3.0), "step_response_ms": (10.0, 5.0, 20.0),
+        "damping": (0.7, 0.5, 1.0), "coil_lag": (0.12, 0.05, 0.3), "friction_share": (1.0, 1.0, 1.0),
+    },
+}  # fmt: skip
+#: `dry_share`: share of the mechanical losses that is dry friction; `static_over_dry`: static friction over that.
+_MOTORS = {
+    "gear": {
+        "volumetric_efficiency_percent": (90.0, 80.0, 95.0), "mechanical_efficiency_percent": (87.0, 80.0, 92.0),
+        "at_speed_rpm": (1500.0, 1000.0, 2000.0),
+    },
+    "orbital": {
+        "volumetric_efficiency_percent": (92.0, 85.0, 97.0), "mechanical_efficiency_percent": (82.0, 75.0, 90.0),
+        "at_speed_rpm": (200.0, 100.0, 400.0),
+    },
+    "piston": {
+        "volumetric_efficiency_percent": (95.0, 92.0, 98.0), "mechanical_efficiency_percent": (93.0, 88.0, 96.0),
+        "at_speed_rpm": (1500.0, 1000.0, 2000.0),
+    },
+}  # fmt: skip
+#: Loss of supply pressure while both valves are fully open, and the time in which the supply follows.
+_SUPPLIES = {
+    "pressure_compensated": {"droop_percent": (10.0, 3.0, 25.0), "droop_ms": (100.0, 50.0, 150.0)},
+    "fixed_pump": {"droop_percent": (10.0, 3.0, 25.0), "droop_ms": (20.0, 10.0, 50.0)},
+    "accumulator": {"droop_percent": (5.0, 1.0, 20.0), "droop_ms": (1000.0, 200.0, 5000.0)},
+}
+#: Bulk modulus that the yielding wall stands for; rubber: with that of oil about 8000 bar, half to two thirds of the oil's own
+#: (Merritt 1967, ch. 1).
+_WALLS = {
+    "rubber": {"wall_bulk_modulus_bar": (19000.0, 8000.0, 40000.0)},
+    "thermoplastic": {"wall_bulk_modulus_bar": (15000.0, 6000.0, 30000.0)},
+    "steel": {"wall_bulk_modulus_bar": (200000.0, 100000.0, 400000.0)},
+}
+#: Speed of the oil by which the bore of a line is chosen, m/s.
+_OIL_SPEED = 5.0
+_RULE = "class value, assumed"
+
+Class = dict[str, tuple[float, float, float]]
+
+
+class _Known(dict[str, Quantity]):
+    """Quantities by key: the first that gives one counts."""
+
+    def give(self, key: str, value: float | None) -> None:
+        if value is not None and not isinstance(value, bool | str):
+            self.setdefault(key, Quantity(float(value)))
+
+    def assume(self, key: str, low: float, value: float, high: float, why: str = _RULE) -> None:
+        self.setdefault(key, Quantity(value, low, high, why))
+
+    def assume_class(self, classes: dict[str, Class], kind: str | None, default: str) -> None:
+        """Class values of a kind; those of the default with the ranges of all kinds where it is not given."""
+        own = classes[kind or default]
+        for key, (value, low, high) in own.items():
+            others = [own] if kind else list(classes.values())
+            lows, highs = [low, *(c[key][1] for c in others)], [high, *(c[key][2] for c in others)]
+            why = f"{_RULE}: {(kind or default).replace('_', ' ')}{'' if kind else ', as the kind is not given'}"
+            self.assume(key, min(lows), value, max(highs), why)
+
+
+def full_flow(known: Mapping[str, Quantity]) -> float:
+    """Flow of the open valve at the supply pressure, m3/s: it grows with the root of the drop."""
+    drop = known["edges"].value * known["at_pressure_drop_bar"].value
+    return known["rated_flow_lpm"].value * LPM * math.sqrt(known["pressure_bar"].value / drop)
+
+
+def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
+    """All quantities of channel 0 or 1 by the keys of the tables; those of oil and lines have their own names."""
+    known = _Known()
+    for table in sheet.tables(channel).values():
+        for key, value in table.given().items():
+            known.give(f"oil_{key}" if isinstance(table, Oil) else key, value)
+    tables = sheet.tables(channel)
+    valve, motor, supply, lines = (tables[name] for name in ("valve", "motor", "supply", "lines"))
+    assert isinstance(valve, Valve) and isinstance(motor, Motor)
+    assert isinstance(supply, Supply) and isinstance(lines, Lines)
+    _of_valve(known, valve)
+    _of_motor(known, motor, supply)
+    known.assume_class(_SUPPLIES, supply.kind, "pressure_compensated")
+    _of_lines(known, lines)
+    return dict(known)
+
+
+def _of_valve(known: _Known, valve: Valve) -> None:
+    if valve.pressure_drop_over is None:
+        why = "the sheet does not say; 2: the drop is that over one edge, 1: over the valve"
+        known.assume("edges", 1.0, 1.0, 2.0, why)
+    known.give("edges", 2.0 if valve.pressure_drop_over == "edge" else 1.0)
+    kind = {"servo": "servo valve", None: None}.get(valve.kind, "proportional valve")
+    if valve.spool_feedback and valve.kind != "servo":
+        kind = "valve with spool feedback"
+    elif valve.spool_feedback is False and kind is None:
+        kind = "proportional valve"
+    dynamic = ("step_response_ms", "frequency_minus_3_dB_Hz", "frequency_minus_90_deg_Hz")
+    timed = [key for key in dynamic if key in known]
+    known.assume_class(_VALVES, kind, "proportional valve")
+    if timed and "step_response_ms" not in timed:
+        del known["step_response_ms"]
+    known.assume("step_response_to_percent", 80.0, 90.0, 98.0)
+    known.assume("frequency_amplitude_percent", 5.0, 25.0, 100.0)
+    volts, ampere = valve.rated_command_V, (valve.rated_command_mA or 0.0) / 1000.0
+    if volts is None:
+        ohm = valve.coil_resistance_Ohm
+        known.give("volts", ampere * ohm if ohm else None)
+        known.assume(
+            "volts", 10.0, 10.0, 10.0, "a scale only: the model's command in V, in proportion to the current"
+        )
+    else:
+        known.give("volts", volts)
+    known.give("ampere", ampere or None)
+    if valve.coil_resistance_Ohm and not valve.onboard_electronics:
+        known.give("ampere", known["volts"].value / valve.coil_resistance_Ohm)
+    known.assume(
+        "ampere", 0.73, 0.73, 0.73, "a scale only: the current behind an amplifier's input is not the sheet's"
+    )
+    if valve.coil_inductance_mH:
+        del known["coil_lag"]
+
+
+def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
+    fastest = 60.0 * full_flow(known) / (1e-6 * motor.displacement_cm3)
+    if fastest < 1000.0:
+        known.assume("at_speed_rpm", 0.4 * fastest, 0.7 * fastest, fastest, "share of the speed at full flow")
+    known.assume_class(_MOTORS, motor.kind, "gear")
+    known.assume("at_pressure_bar", 0.5 * supply.pressure_bar, supply.pressure_bar, supply.pressure_bar)
+    cm3 = motor.displacement_cm3
+    like = 0.0028 / 8.47 * cm3
+    known.assume("inertia_kgm2", like / 4.0, like, 4.0 * like, f"{_RULE}: in proportion to the paper's rig")
+    known.assume("dry_share", 0.2, 0.4, 0.8, f"{_RULE}: share of dry friction in the mechanical losses")
+    bar = motor.starting_torque_at_bar or known["at_pressure_bar"].value
+    if motor.starting_torque_Nm:
+        share = 100.0 * motor.starting_torque_Nm / (cm3 * 1e-6 / (2.0 * math.pi) * bar * 1e5)
+        known.give("starting_torque_percent", min(share, 99.9))
+    if "starting_torque_percent" in known:
+        known.give("starting_torque_at_bar", bar)
+    else:
+        known.assume("static_over_dry", 1.0, 1.5, 2.5, f"{_RULE}: static over dry friction of the motor")
+
+
+def _of_lines(known: _Known, lines: Lines) -> None:
+    known.assume("length_m", 0.3, 1.0, 3.0)
+    bore = 1000.0 * math.sqrt(4.0 * full_flow(known) / (math.pi * _OIL_SPEED))
+    known.assume(
+        "bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
+    )
+    known.assume_class(_WALLS, lines.kind, "rubber")
+    known.assume("fittings", 3.0, 10.0, 30.0, f"{_RULE}: loss coefficient of ports and couplings of one line")
+    if lines.crossport_relief_bar:
+        known.assume("override_percent", 5.0, 10.0, 20.0, f"{_RULE}: rise of a relief valve at full flow")
+    known.assume("oil_viscosity_grade", 32.0, 46.0, 68.0)
+    known.assume("oil_temperature_C", 30.0, 45.0, 60.0)
+    known.assume("oil_bulk_modulus_bar", 10000.0, 14000.0, 17000.0, f"{_RULE}: mineral oil")
+    known.assume("oil_air_percent", 0.0, 0.1, 1.0, f"{_RULE}: free air in lines at half the supply")
