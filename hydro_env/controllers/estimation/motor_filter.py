@@ -56,9 +56,12 @@ class MotorState(NamedTuple):
 class MotorFilter:
     """Holds a `MotorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float) -> None:
+    def __init__(
+        self, settings: MotorFilterSettings, num_rigs: int, period: float, pressure_noise: float = 1.0
+    ) -> None:
         pair = (num_rigs, 2)
         self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
+        self._torque_noise = pressure_noise * TORQUE_NOISE
         speed, torque, miss, before = np.zeros((4, *pair))
         self.state = MotorState(speed, torque, miss, np.zeros((num_rigs, 4, 4)), before)
 
@@ -77,15 +80,15 @@ class MotorFilter:
         the speeds' noise as a multiple of the usual. Where `blind`, `speed` is taken for the speed and the load stays.
         """
         readings = np.ascontiguousarray(speed), np.ascontiguousarray(pressure)
-        _update(self._numbers, self._gained, self.state, *readings, unsampled, noise, blind)
+        _update(self._numbers, self._gained, self._torque_noise, self.state, *readings, unsampled, noise, blind)
 
 
 @compiled
-def _update(s, gained, m, speed, pressure, unsampled, noise, blind):
+def _update(s, gained, hiss, m, speed, pressure, unsampled, noise, blind):
     off, sensor = np.empty(2), np.empty(2)
     for i in range(speed.shape[0]):
         for c in range(2):
-            _predict(s, gained, i, c, m, pressure[i, c], unsampled[i, c])
+            _predict(s, gained, hiss, i, c, m, pressure[i, c], unsampled[i, c])
             off[c] = speed[i, c] - m.speed[i, c]
             sensor[c] = (SPEED_NOISE * noise[i, c]) ** 2
         known = not (blind[i, 0] or blind[i, 1])
@@ -100,7 +103,7 @@ def _update(s, gained, m, speed, pressure, unsampled, noise, blind):
 
 
 @compiled
-def _predict(s, gained, i, c, m, pressure, unsampled):
+def _predict(s, gained, hiss, i, c, m, pressure, unsampled):
     """A period later: the speed has taken in the torque less the load."""
     p = m.covariance[i]
     mean = 0.5 * DISPLACEMENT * (pressure + m.pressure[i, c]) + unsampled
@@ -111,7 +114,7 @@ def _predict(s, gained, i, c, m, pressure, unsampled):
         p[k, c] -= gained * p[k, 2 + c]
     change = s.changed * DISPLACEMENT * (pressure - m.pressure[i, c])
     wrong = (s.unsampled * unsampled) ** 2 + change**2
-    p[c, c] += gained**2 * (0.5 * TORQUE_NOISE**2 + wrong)
+    p[c, c] += gained**2 * (0.5 * hiss**2 + wrong)
     m.pressure[i, c] = pressure
 
 

@@ -52,11 +52,13 @@ class Motor:
     leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
     compliance: float = setting(0.0, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)")
     mode: float = setting(0.0, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor")
+    damping: float = setting(0.0, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none")
+    noise: float = setting(1.0, "1", "noise of a pressure, of the usual one", "sensors")
 
     @property
     def per_torque(self) -> float:
         """Leakage that a torque costs: the pressure for it drives the leak (rated flow per N m)."""
-        return self.leakage * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
+        return (self.leakage + self.damping) * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
 
     @property
     def per_speed(self) -> float:

@@ -73,10 +73,13 @@ class SensorState(NamedTuple):
 class SensorSupervision:
     """Holds a `SensorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: SensorSettings, num_rigs: int, period: float, leakage: float = 1.0) -> None:
+    def __init__(
+        self, settings: SensorSettings, num_rigs: int, period: float, leakage: float = 1.0, noise: float = 1.0
+    ) -> None:
         pair = (num_rigs, 2)
         self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
         self._period, self._leak = period, leakage * LEAKAGE
+        self._leak_noise, self._pressure_noise = noise * LEAK_NOISE, noise * PRESSURE_NOISE
         stuck, lagging = np.zeros((2, *pair), bool)
         noise, pressure, square, pressure_square = np.ones((4, *pair))
         speed, lag, along, size = np.zeros((4, *pair))
@@ -97,7 +100,7 @@ class SensorSupervision:
     def flow_noise(self) -> Floats:
         """Noise of the measured flow as a multiple of the usual, (num_rigs, 2)."""
         s = self.state
-        heard = np.hypot(LEAK_NOISE * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
+        heard = np.hypot(self._leak_noise * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
         return np.where((s.noise > 1.0) | (s.pressure_noise > 1.0), heard / FLOW_NOISE, 1.0)
 
     def reset(self, rows: Rows, seen: Measurements) -> None:
@@ -139,7 +142,7 @@ class SensorSupervision:
         for speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
         may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
         quieter ones count."""
-        squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE], axis=1) ** 2, 900.0)
+        squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1) ** 2, 900.0)
         index, age = np.arange(len(self._age))[rows], self._age[rows]
         self._firsts[index, age - 1] = squares.reshape(len(index), 4)
         kept = KEPT[age - 1]

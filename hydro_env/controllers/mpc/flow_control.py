@@ -23,11 +23,12 @@ from hydro_env.controllers.estimation.spool import SpoolSettings
 from hydro_env.controllers.estimation.valve_estimator import ValveSettings
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.mpc.crossing import CrossingSettings
+from hydro_env.controllers.mpc.fitted import exact_units, fitted, leaks
 from hydro_env.controllers.mpc.feedback import FeedbackSettings
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.controllers.mpc.reference import ReferenceSettings
-from hydro_env.plant import Plant
+from hydro_env.plant import Plant, PlantModel, Scales, scales_of
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
 
@@ -57,6 +58,14 @@ class ProbingFlow(Controller):
     """Beneath the gains."""
 
     law: FlowController | None = None
+    _model: PlantModel | None = None
+
+    def drives(self, model: PlantModel) -> None:
+        super().drives(model)
+        self._model = None if leaks(model) else model
+
+    def units_for(self, model: PlantModel) -> Scales:
+        return scales_of(model) if leaks(model) else exact_units(model)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
@@ -72,6 +81,10 @@ class ProbingFlow(Controller):
     def _begun(self, measured: Measurements) -> FlowController:
         """The law with these gains, after the first measurements."""
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
+        if self._model is not None:
+            s = fitted(self._model, self.period)
+            s = replace(s, probing=replace(s.probing, active=self.settings.probing.active))
+            gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
         def tuned(part: Any, *names: str) -> Any:
             return replace(part, **{name: gains[name] for name in names if name in gains})
@@ -112,6 +125,12 @@ class RigFlow(ProbingFlow):
     # the rise of flow has no say here: the reference is slower
     GAINS = (replace(RATE, default=14.9), replace(SWEEP, default=2.36), replace(SEARCH, default=2.19))
     settings = RIG
+
+    def drives(self, model: PlantModel) -> None:
+        Controller.drives(self, model)
+
+    def units_for(self, model: PlantModel) -> Scales:
+        return scales_of(model)
 
 
 NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))
