@@ -98,7 +98,7 @@ class Feedback:
             whole=whole, part=settings.delay / period - whole, pause=round(PAUSE / period),
             damp=motor.damping * NOMINAL["Km"] / RATED_FLOW,
             swell=1e-12 * motor.compliance * NOMINAL["J"] / NOMINAL["D"] / RATED_FLOW / period if motor.damping else 0.0,
-            push=NOMINAL["D"] / NOMINAL["J"], inertia=NOMINAL["J"], drag=NOMINAL["B"],
+            push=NOMINAL["D"] / NOMINAL["J"], inertia=NOMINAL["J"], drag=motor.friction * NOMINAL["B"],
         )  # fmt: skip
         pair = (num_rigs, 2)
         self.state = FeedbackState(

@@ -10,7 +10,9 @@ the valve is fast enough (Merritt 1967, ch. 8, dynamic pressure feedback), and t
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, pi, sqrt
+from math import cos, inf, pi, sqrt
+
+import numpy as np
 
 from hydro_env.controllers.estimation.estimator import EstimatorSettings
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, STICTION, Motor
@@ -21,11 +23,12 @@ from hydro_env.controllers.mpc.feedback import FeedbackSettings
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
 from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.controllers.mpc.reference import ReferenceSettings
+from hydro_env.plant.parameters import SUPPLY_PRESSURE
 from hydro_env.plant import PlantModel, Scales, scales_of
 
 __all__ = ["exact_units", "fitted", "leaks"]
 import os
-P = dict(r=0.35, track=1.0, couple=1.0, rate=0.8, rise=0.4, most=0.6, lead=0.7, fall=2.0, lag=5e-3)
+P = dict(r=0.35, track=0.33, couple=0.5, rate=0.8, rise=0.4, most=0.6, brake=1.0, lead=0.7, fall=2.0, lag=5e-3)
 P.update({k: float(v) for k, v in (e.split('=') for e in os.environ.get('FIT','').split(',') if e)})
 
 def leaks(model: PlantModel) -> bool:
@@ -63,15 +66,14 @@ def fitted(model: PlantModel, period: float) -> FlowSettings:
     answer = P['r'] / late * max(cos(min(swings * late, pi)), 0.0)  # 1/s, of the pressure, by feedback
     damping = answer * swell / NOMINAL["Km"]
     follows = answer + leakage * NOMINAL["Km"] / swell
-    stiff = min(follows, 0.7 / late)
-    soft = max(stiff**2 - swings**2, 0.0) / stiff
-    track = min(P['track'] * max(soft, 0.3 * swings * min(1.0, 0.3/(swings*late))), 30.0)
-    couple = min(P['couple'] * max(2 * soft, 0.6 * swings* min(1.0, 0.3/(swings*late))), 60.0)
+    largest = _largest(follows, swings, late)
+    track, couple = min(P['track'] * largest, 30.0), min(P['couple'] * largest, 60.0)
     rate = min(P['rate'] * max(follows, swings), 42.0, 0.8 / late)
-    supply = rough.pressure * 100e5 / units.pressure
+    supply = _supply(model, rough) / units.pressure
     motor = Motor(
         leakage=leakage, compliance=1e12 * swell, damping=damping, mode=0.0 if damping else swings * 0.23,
-        noise=rough.pressure / units.pressure,
+        noise=rough.pressure / units.pressure, supply=supply,
+        friction=max(model.pair("B")) / NOMINAL["B"] * units.speed / units.torque,
     )
     if os.environ.get('SHOW'): print(dict(late=late, swings=swings, answer=answer, follows=follows, track=track, couple=couple, rate=rate, supply=supply/1e5, noise=motor.noise, shaped=shaped, spool=spool))
     return FlowSettings(
@@ -84,7 +86,7 @@ def fitted(model: PlantModel, period: float) -> FlowSettings:
         ),
         reference=ReferenceSettings(
             rate=rate, rise=min(P['rise'] * follows, 28.0), fall=P['fall'], doubt=2.9, foresight=0.0,
-            most=P['most'] * supply * NOMINAL["D"] / NOMINAL["J"],
+            most=P['most'] * supply * NOMINAL["D"] / NOMINAL["J"], brake=P['brake'] * supply * NOMINAL["D"] / NOMINAL["J"],
         ),
         probing=ProbingSettings(led=False, detect=0.0047, patience=0.0),
         crossing=CrossingSettings(known=0.0135),
@@ -92,6 +94,20 @@ def fitted(model: PlantModel, period: float) -> FlowSettings:
         planner=None,
         shaped=shaped,
     )
+
+
+def _largest(damped: float, swings: float, late: float) -> float:
+    """Acceleration per error of the speed at which the loop is at its limit, 1/s: that of a motor that swings at the rate
+    `swings`, whose pressure settles at the rate `damped`, all 1/s, behind a delay (s)."""
+    s = 1j * np.geomspace(0.1, 20.0, 2000) / late
+    loop = damped * np.exp(-s * late) / (s * s + damped * s + swings**2)
+    beyond = np.flatnonzero(np.unwrap(np.angle(loop)) < -pi)
+    return float(1.0 / abs(loop[beyond[0]]))
+
+
+def _supply(model: PlantModel, rough: Scales) -> float:
+    found = max(model.pair("pressure_dependent_flow.supply_pressure"))
+    return found if found < inf else rough.pressure * SUPPLY_PRESSURE.nominal
 
 
 def _spool(model: PlantModel) -> SpoolSettings:

@@ -34,6 +34,7 @@ class ReferenceSettings:
     doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
     capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
     most: float = setting(inf, "rad/s2", "largest acceleration without load", "what the supply's pressure gives")
+    brake: float = setting(inf, "rad/s2", "and towards standstill")
     foresight: float = setting(1.0, "1", "response times by which a smooth set-point is foreseen", HAND)
 
 
@@ -134,4 +135,5 @@ def _acceleration(s, growth, m, i, setpoint, held, load, valves, r):
     least = s.capacity * min(capacity(gain[0], edge[0, 1]), capacity(gain[1], edge[1, 1]))
     most = s.capacity * min(capacity(gain[0], edge[0, 0]), capacity(gain[1], edge[1, 0]))
     faster = (min(max(flow, -least), most) - held) / m.per_acceleration
-    return min(max(faster, -s.most - load / INERTIA), s.most - load / INERTIA)
+    upward, downward = (s.most, s.brake) if r.speed[i] > 0.0 else (s.brake, s.most)
+    return min(max(faster, -downward - load / INERTIA), upward - load / INERTIA)
