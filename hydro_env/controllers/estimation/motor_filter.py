@@ -56,9 +56,7 @@ class MotorState(NamedTuple):
 class MotorFilter:
     """Holds a `MotorState` in `state`, whose arrays keep their place."""
 
-    def __init__(
-        self, settings: MotorFilterSettings, num_rigs: int, period: float, motor: Motor
-    ) -> None:
+    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float, motor: Motor) -> None:
         pair = (num_rigs, 2)
         self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
         self._motor = motor.noise * TORQUE_NOISE, motor.friction * FRICTION

@@ -52,9 +52,13 @@ class Motor:
     leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
     compliance: float = setting(0.0, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)")
     mode: float = setting(0.0, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor")
-    damping: float = setting(0.0, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none")
+    damping: float = setting(
+        0.0, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none"
+    )
     friction: float = setting(1.0, "1", "viscous friction relative to the paper's motor", "Table I")
-    supply: float = setting(inf, "Pa", "supply pressure by which a valve's flow falls (7)", "none in the paper's simulation")
+    supply: float = setting(
+        inf, "Pa", "supply pressure by which a valve's flow falls (7)", "none in the paper's simulation"
+    )
     noise: float = setting(1.0, "1", "noise of a pressure, of the usual one", "sensors")
 
     @property

@@ -74,9 +74,7 @@ class SensorState(NamedTuple):
 class SensorSupervision:
     """Holds a `SensorState` in `state`, whose arrays keep their place."""
 
-    def __init__(
-        self, settings: SensorSettings, num_rigs: int, period: float, motor: Motor
-    ) -> None:
+    def __init__(self, settings: SensorSettings, num_rigs: int, period: float, motor: Motor) -> None:
         pair = (num_rigs, 2)
         self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
         self._period, self._leak = period, motor.leakage * LEAKAGE
@@ -144,7 +142,9 @@ class SensorSupervision:
         for speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
         may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
         quieter ones count."""
-        squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1) ** 2, 900.0)
+        squares = np.minimum(
+            np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1) ** 2, 900.0
+        )
         index, age = np.arange(len(self._age))[rows], self._age[rows]
         self._firsts[index, age - 1] = squares.reshape(len(index), 4)
         kept = KEPT[age - 1]

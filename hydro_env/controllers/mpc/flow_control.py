@@ -23,8 +23,8 @@ from hydro_env.controllers.estimation.spool import SpoolSettings
 from hydro_env.controllers.estimation.valve_estimator import ValveSettings
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.mpc.crossing import CrossingSettings
-from hydro_env.controllers.mpc.fitted import exact_units, fitted, leaks
 from hydro_env.controllers.mpc.feedback import FeedbackSettings
+from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.controllers.mpc.reference import ReferenceSettings
@@ -50,7 +50,8 @@ SEARCH = Gain(
 
 
 class ProbingFlow(Controller):
-    """Probes the valves at rest. The drawn valves are unknown to it, the paper's motor is known."""
+    """Probes the valves at rest. The drawn valves are unknown to it, the motor is known: from the model, unless it leaks as the
+    paper's does. Gains at their default follow from the model too."""
 
     similar = True
     GAINS: ClassVar[tuple[Gain, ...]] = (RATE, RISE, FALL, SWEEP, SEARCH)
@@ -62,10 +63,14 @@ class ProbingFlow(Controller):
 
     def drives(self, model: PlantModel) -> None:
         super().drives(model)
-        self._model = None if leaks(model) else model
+        self._model = model if self._fits(model) else None
 
     def units_for(self, model: PlantModel) -> Scales:
-        return scales_of(model) if leaks(model) else exact_units(model)
+        return units_of(model) if self._fits(model) else scales_of(model)
+
+    def _fits(self, model: PlantModel) -> bool:
+        """Whether units and settings follow from the model."""
+        return not leaks(model)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
@@ -82,8 +87,8 @@ class ProbingFlow(Controller):
         """The law with these gains, after the first measurements."""
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
         if self._model is not None:
-            s = fitted(self._model, self.period)
-            s = replace(s, probing=replace(s.probing, active=self.settings.probing.active))
+            own = settings_of(self._model, self.period)
+            s = replace(own, probing=replace(own.probing, active=s.probing.active))
             gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
         def tuned(part: Any, *names: str) -> Any:
@@ -126,11 +131,8 @@ class RigFlow(ProbingFlow):
     GAINS = (replace(RATE, default=14.9), replace(SWEEP, default=2.36), replace(SEARCH, default=2.19))
     settings = RIG
 
-    def drives(self, model: PlantModel) -> None:
-        Controller.drives(self, model)
-
-    def units_for(self, model: PlantModel) -> Scales:
-        return scales_of(model)
+    def _fits(self, model: PlantModel) -> bool:
+        return False
 
 
 NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))

@@ -33,8 +33,9 @@ class ReferenceSettings:
     fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
     doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
     capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
-    most: float = setting(inf, "rad/s2", "largest acceleration without load", "what the supply's pressure gives")
-    brake: float = setting(inf, "rad/s2", "and towards standstill")
+    most: float = setting(
+        inf, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"
+    )
     foresight: float = setting(1.0, "1", "response times by which a smooth set-point is foreseen", HAND)
 
 
@@ -135,5 +136,4 @@ def _acceleration(s, growth, m, i, setpoint, held, load, valves, r):
     least = s.capacity * min(capacity(gain[0], edge[0, 1]), capacity(gain[1], edge[1, 1]))
     most = s.capacity * min(capacity(gain[0], edge[0, 0]), capacity(gain[1], edge[1, 0]))
     faster = (min(max(flow, -least), most) - held) / m.per_acceleration
-    upward, downward = (s.most, s.brake) if r.speed[i] > 0.0 else (s.brake, s.most)
-    return min(max(faster, -downward - load / INERTIA), upward - load / INERTIA)
+    return min(max(faster, -s.most - load / INERTIA), s.most - load / INERTIA)
