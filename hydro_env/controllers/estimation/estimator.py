@@ -89,9 +89,7 @@ class Estimator:
             self._watch_delay(seen, sweep)
         self.flow, self._pressure = self._measured_flow(seen), seen.pressure
         strength = self.motor.strength(self.flow, seen.pressure)
-        self.valves.update(
-            self.spool, self.flow / strength, self.flow_noise, flowing * self.flow_noise
-        )
+        self.valves.update(self.spool, self.flow / strength, self.flow_noise, flowing * self.flow_noise)
         unsampled = LEAKAGE_TORQUE * self.spool.unsampled
         self.motors.update(
             seen.speed, seen.pressure, unsampled, self.sensors.state.noise, self.sensors.unsound

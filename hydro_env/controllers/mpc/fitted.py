@@ -69,7 +69,14 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     )
     # estimation and probing as on the preset `rig`
     valves = ValveSettings(
-        drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0, before=0.03
+        drift=0.0247,
+        gain_drift=0.0085,
+        still=0.016,
+        moving=0.346,
+        first=0.0056,
+        idle=1.0,
+        unused=0.0,
+        before=0.03,
     )
     return FlowSettings(
         motor=motor,
