@@ -1,11 +1,15 @@
 """The laws that plan flow: probing at rest or a bench before it, settings, and that they forget one rig before the next."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.mpc.fitted import settings_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
+from hydro_env.plant import PlantModel, load_model
 
 
 def scores(spec, **changed):
@@ -64,3 +68,32 @@ def test_wrong_settings_are_refused():
     controller.reset(2, 0.01)
     with pytest.raises(ValueError, match="reset for 2 rigs, got 3"):
         controller.act(np.zeros((3, 9), np.float32))
+
+
+def hoses(size=1.0, flow=1.0, inertia=1.0):
+    """Motors that leak little behind long hoses and valves that do not ring, in other units of displacement, flow and inertia."""
+    pressure = inertia * flow / size**2
+    values = {
+        "D": 1.3e-6 * size, "J": 5e-3 * inertia, "Km": 3e-12 * flow / pressure, "V": 5e-4 * flow / pressure, "beta": 8e8,
+        "B": 1e-3 * size**2 * pressure / flow, "Kq": 0.4 * flow, "C": 60.0,
+        "pressure_dependent_flow.supply_pressure": 1e7 * pressure,
+    }  # fmt: skip
+    return PlantModel(name="hoses", values={name: (value, value) for name, value in values.items()})
+
+
+def test_rigs_that_are_similar_have_the_same_settings():
+    one, other = (asdict(settings_of(model, 0.01)) for model in (hoses(), hoses(1.3, 1.2, 1.4)))
+    # noise is the sensors', which come in sizes
+    for part in ("motor", "feedback", "reference"):
+        given = {name: value for name, value in one[part].items() if name != "noise"}
+        assert {name: other[part][name] for name in given} == pytest.approx(given), part
+
+
+@pytest.mark.parametrize("plant", ["hoses", "rig"])
+def test_it_drives_motors_that_swing(plant):
+    """The settings for the paper's motor would not: the speeds would differ by a thousand rpm."""
+    model = hoses() if plant == "hoses" else load_model(plant)
+    apart, off = scores("probing_flow", plant=model)
+    assert off < 60.0 and apart < (40.0 if plant == "hoses" else 220.0)
+    calm = scores("probing_flow:rate=4", plant=model)
+    assert calm[1] > off + 20.0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_env.controllers.estimation.estimator import EstimatorSettings
+from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.envs import HydraulicSyncVectorEnv
@@ -61,7 +62,7 @@ def test_valves_that_open_early_are_no_noise():
     flows[1:, :, 0], flows[2, :, 1] = [[10.0], [18.0]], 8.0
 
     def found(noise, shown):
-        check = SensorSupervision(SensorSettings(), n, 0.01)
+        check = SensorSupervision(SensorSettings(), n, 0.01, Motor())
         for k in range(3):
             speed = noise * rng.standard_normal((n, 2)) * NOISE["speed_rpm"] * RPM
             pressure = (noise * rng.standard_normal((n, 2)) + shown[k]) * NOISE["pressure_bar"] * 1e5

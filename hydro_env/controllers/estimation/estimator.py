@@ -49,8 +49,8 @@ class Estimator:
         lag, pair = settings.spool.pressure_lag, (num_rigs, 2)
         self.spool, self.prompt = (SpoolModel(num_rigs, self.channel, lag) for _ in range(2))
         self.valves = ValveEstimator(settings.valves, num_rigs, period)
-        self.motors = MotorFilter(settings.motors, num_rigs, period)
-        self.sensors = SensorSupervision(settings.sensors, num_rigs, period, motor.leakage)
+        self.motors = MotorFilter(settings.motors, num_rigs, period, motor)
+        self.sensors = SensorSupervision(settings.sensors, num_rigs, period, motor)
         self.delay = DelayEstimator(settings.delay, num_rigs)
         self.sent, self._places = np.zeros((MAX_DELAY + 1, *pair)), np.zeros((MAX_DELAY + 1, 2, *pair))
         self.flow: Floats = np.zeros(pair)
@@ -88,7 +88,8 @@ class Estimator:
             seen = self._supervise(seen, steady)
             self._watch_delay(seen, sweep)
         self.flow, self._pressure = self._measured_flow(seen), seen.pressure
-        self.valves.update(self.spool, self.flow, self.flow_noise, flowing * self.flow_noise)
+        strength = self.motor.strength(self.flow, seen.pressure)
+        self.valves.update(self.spool, self.flow / strength, self.flow_noise, flowing * self.flow_noise)
         unsampled = LEAKAGE_TORQUE * self.spool.unsampled
         self.motors.update(
             seen.speed, seen.pressure, unsampled, self.sensors.state.noise, self.sensors.unsound

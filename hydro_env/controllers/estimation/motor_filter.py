@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats, Rows
-from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE
+from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
@@ -56,9 +56,10 @@ class MotorState(NamedTuple):
 class MotorFilter:
     """Holds a `MotorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float) -> None:
+    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float, motor: Motor) -> None:
         pair = (num_rigs, 2)
         self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
+        self._motor = motor.noise * TORQUE_NOISE, motor.friction * FRICTION
         speed, torque, miss, before = np.zeros((4, *pair))
         self.state = MotorState(speed, torque, miss, np.zeros((num_rigs, 4, 4)), before)
 
@@ -77,15 +78,15 @@ class MotorFilter:
         the speeds' noise as a multiple of the usual. Where `blind`, `speed` is taken for the speed and the load stays.
         """
         readings = np.ascontiguousarray(speed), np.ascontiguousarray(pressure)
-        _update(self._numbers, self._gained, self.state, *readings, unsampled, noise, blind)
+        _update(self._numbers, self._gained, *self._motor, self.state, *readings, unsampled, noise, blind)
 
 
 @compiled
-def _update(s, gained, m, speed, pressure, unsampled, noise, blind):
+def _update(s, gained, hiss, drag, m, speed, pressure, unsampled, noise, blind):
     off, sensor = np.empty(2), np.empty(2)
     for i in range(speed.shape[0]):
         for c in range(2):
-            _predict(s, gained, i, c, m, pressure[i, c], unsampled[i, c])
+            _predict(s, gained, hiss, drag, i, c, m, pressure[i, c], unsampled[i, c])
             off[c] = speed[i, c] - m.speed[i, c]
             sensor[c] = (SPEED_NOISE * noise[i, c]) ** 2
         known = not (blind[i, 0] or blind[i, 1])
@@ -100,18 +101,18 @@ def _update(s, gained, m, speed, pressure, unsampled, noise, blind):
 
 
 @compiled
-def _predict(s, gained, i, c, m, pressure, unsampled):
+def _predict(s, gained, hiss, drag, i, c, m, pressure, unsampled):
     """A period later: the speed has taken in the torque less the load."""
     p = m.covariance[i]
     mean = 0.5 * DISPLACEMENT * (pressure + m.pressure[i, c]) + unsampled
-    m.speed[i, c] += gained * (mean - FRICTION * m.speed[i, c] - m.torque[i, c])
+    m.speed[i, c] += gained * (mean - drag * m.speed[i, c] - m.torque[i, c])
     for k in range(4):
         p[c, k] -= gained * p[2 + c, k]
     for k in range(4):
         p[k, c] -= gained * p[k, 2 + c]
     change = s.changed * DISPLACEMENT * (pressure - m.pressure[i, c])
     wrong = (s.unsampled * unsampled) ** 2 + change**2
-    p[c, c] += gained**2 * (0.5 * TORQUE_NOISE**2 + wrong)
+    p[c, c] += gained**2 * (0.5 * hiss**2 + wrong)
     m.pressure[i, c] = pressure
 
 

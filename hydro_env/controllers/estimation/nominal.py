@@ -7,7 +7,7 @@ shares of the rated command, so that a nominal valve without a dead zone has edg
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +52,23 @@ class Motor:
     leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
     compliance: float = setting(0.0, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)")
     mode: float = setting(0.0, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor")
+    damping: float = setting(
+        0.0, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none"
+    )
+    friction: float = setting(1.0, "1", "viscous friction relative to the paper's motor", "Table I")
+    supply: float = setting(
+        inf, "Pa", "supply pressure by which a valve's flow falls (7)", "none in the paper's simulation"
+    )
+    noise: float = setting(1.0, "1", "noise of a pressure, of the usual one", "sensors")
 
     @property
     def per_torque(self) -> float:
         """Leakage that a torque costs: the pressure for it drives the leak (rated flow per N m)."""
-        return self.leakage * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
+        return (self.leakage + self.damping) * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
 
     @property
     def per_speed(self) -> float:
-        return NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * self.per_torque
+        return NOMINAL["D"] / RATED_FLOW + self.friction * NOMINAL["B"] * self.per_torque
 
     @property
     def per_acceleration(self) -> float:
@@ -74,6 +82,11 @@ class Motor:
     def demand(self, speed: Floats, acceleration: Floats | float, load: Floats | float) -> Floats:
         """The share of the rated flow that a speed (rad/s), an acceleration (rad/s2) and a load (N m) take."""
         return self.per_speed * speed + self.per_acceleration * acceleration + self.per_torque * load
+
+    def strength(self, flow: Floats, pressure: Floats) -> Floats:
+        """Share of the flow without pressure that a valve passes (7), both (num_rigs, 2)."""
+        left: Floats = np.sqrt(np.maximum(1.0 - np.sign(flow) * pressure / self.supply, 0.1))
+        return left
 
     def flow(self, speed: Floats, pressure: Floats, rise: Floats | float = 0.0) -> Floats:
         """Flow seen from speed and leakage (eq. 1) and the lines' swelling; `rise` is the pressure's, Pa/s."""

@@ -19,6 +19,7 @@ from hydro_env.controllers.estimation.nominal import (
     PRESSURE_NOISE,
     RATED_FLOW,
     SPEED_NOISE,
+    Motor,
 )
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.envs.observation import Measurements
@@ -73,10 +74,12 @@ class SensorState(NamedTuple):
 class SensorSupervision:
     """Holds a `SensorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: SensorSettings, num_rigs: int, period: float, leakage: float = 1.0) -> None:
+    def __init__(self, settings: SensorSettings, num_rigs: int, period: float, motor: Motor) -> None:
         pair = (num_rigs, 2)
         self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
-        self._period, self._leak = period, leakage * LEAKAGE
+        self._period, self._leak = period, motor.leakage * LEAKAGE
+        self._leak_noise, self._pressure_noise = motor.noise * LEAK_NOISE, motor.noise * PRESSURE_NOISE
+        self._drag = motor.friction * FRICTION
         stuck, lagging = np.zeros((2, *pair), bool)
         noise, pressure, square, pressure_square = np.ones((4, *pair))
         speed, lag, along, size = np.zeros((4, *pair))
@@ -97,7 +100,7 @@ class SensorSupervision:
     def flow_noise(self) -> Floats:
         """Noise of the measured flow as a multiple of the usual, (num_rigs, 2)."""
         s = self.state
-        heard = np.hypot(LEAK_NOISE * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
+        heard = np.hypot(self._leak_noise * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
         return np.where((s.noise > 1.0) | (s.pressure_noise > 1.0), heard / FLOW_NOISE, 1.0)
 
     def reset(self, rows: Rows, seen: Measurements) -> None:
@@ -129,7 +132,7 @@ class SensorSupervision:
             self._first_readings(rows, self._read[0, rows], self._pressure[0, rows])
         self._steady = np.where(steady & ~early, self._steady + 1, 0)
         _supervise(
-            self._numbers, self._period, self._leak, self._read, self._pressure, torque, valve_flow, self._steady,
+            self._numbers, self._period, self._leak, self._drag, self._read, self._pressure, torque, valve_flow, self._steady,
             self.state,
         )  # fmt: skip
         return self.state.speed.copy()
@@ -139,7 +142,9 @@ class SensorSupervision:
         for speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
         may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
         quieter ones count."""
-        squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE], axis=1) ** 2, 900.0)
+        squares = np.minimum(
+            np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1) ** 2, 900.0
+        )
         index, age = np.arange(len(self._age))[rows], self._age[rows]
         self._firsts[index, age - 1] = squares.reshape(len(index), 4)
         kept = KEPT[age - 1]
@@ -152,7 +157,7 @@ class SensorSupervision:
 
 
 @compiled
-def _supervise(s, period, leak, read, pressures, torque, valve_flow, steady, v):
+def _supervise(s, period, leak, drag, read, pressures, torque, valve_flow, steady, v):
     per_torque = period / INERTIA
     for i in range(steady.size):
         for c in range(2):
@@ -161,7 +166,7 @@ def _supervise(s, period, leak, read, pressures, torque, valve_flow, steady, v):
             v.stuck[i, c] = new == old and pressures[0, i, c] != pressures[1, i, c]
             between = 0.5 * (pressures[0, i, c] + pressures[1, i, c])
             # the torque's gain of speed in this period; with a sound sensor that reads with usual noise it is not used
-            push = per_torque * (DISPLACEMENT * between - FRICTION * v.speed[i, c] - torque[i, c])
+            push = per_torque * (DISPLACEMENT * between - drag * v.speed[i, c] - torque[i, c])
             was = v.lagging[i, c]
             _lag(s, i, c, period, new - old, old - older, push + per_torque * torque[i, c], v)
             if (

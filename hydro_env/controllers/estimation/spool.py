@@ -29,6 +29,7 @@ __all__ = [
 class SpoolSettings:
     """The modelled spool and what lies before and behind it."""
 
+    rate: float = setting(SPOOL_RATE, "1/s", "rate of the undamped spool's mode", "Table II")
     damping: float = setting(0.03, "1", "damping ratio", "assumed: back-EMF and viscous friction")
     friction: float = setting(0.85, "1", "Coulomb friction relative to the nominal stiction", TUNED)
     substep: float = setting(1.25e-3, "s", "step of the model", "a 24th of the spool's period")
@@ -62,7 +63,7 @@ class Channel(NamedTuple):
 def channel_of(settings: SpoolSettings, motor: Motor, period: float, horizon: int) -> Channel:
     """The model for a control period in s; responses over `horizon` periods."""
     steps = max(1, round(period / settings.substep))
-    step, rate = period / steps, SPOOL_RATE
+    step, rate = period / steps, settings.rate
     late = exp(-step / settings.coil)
     late_mean = (1.0 - late) * settings.coil / step
     decay = exp(-2.0 * settings.damping * rate * step)

@@ -11,6 +11,7 @@ pins it down, and an extended Kalman filter refines it. Both directions share th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING
 from hydro_env.controllers.estimation.spool import SpoolModel
-from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["ValveEstimator", "ValveSettings", "ValveState"]
@@ -42,6 +43,7 @@ class ValveSettings:
     idle: float = setting(0.05, "1", "share of that pace at which they go on while the spool rests", TUNED)
     unused: float = setting(0.02, "1/sqrt(s)", "random walk of the edge of the other direction", TUNED)
     stale: float = setting(0.02, "1", "standard deviation where forgetting that edge ends", "4 um of travel")
+    before: float = setting(inf, "1", "no flow is believed farther before an edge, or what passed", HAND)
     noise: float = setting(FLOW_NOISE, "1", "standard deviation of the measured flow", "sensors, eq. (1)")
 
 
@@ -131,7 +133,8 @@ def _update(s, period, position, ringing, flow, noise, flowing, v):
                 negative = flow[i, c] < 0.0
             here, sign = (1, -1.0) if negative else (0, 1.0)
             place, seen = sign * position[i, c], sign * flow[i, c]
-            flows = seen > flowing[i, c]
+            first = v.passed[i, c, here] if v.unknown[i, c, here] else v.edge[i, c, here]
+            flows = seen > flowing[i, c] and place > first - s.before
             miss = 0.0
             if v.unknown[i, c, here]:
                 _search(s, i, c, here, place, seen, flows, v)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
-from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
+from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.controllers.settings import TUNED, setting
@@ -55,6 +55,11 @@ class FeedbackNumbers(NamedTuple):
     whole: int  # periods of the delay, and the part of one
     part: float
     pause: int
+    damp: float  # flow that a pressure takes off, per Pa
+    swell: float  # flow into the lines per change of acceleration, and acceleration per pressure
+    push: float
+    inertia: float
+    drag: float
 
 
 class FeedbackState(NamedTuple):
@@ -75,7 +80,9 @@ class Feedback:
     def __init__(self, settings: FeedbackSettings, motor: Motor, channel: Channel, num_rigs: int) -> None:
         period = channel.period
         spans = np.array([period, settings.lead * TUNED_PERIOD])
-        if motor.mode:
+        if motor.damping:
+            shares = spans
+        elif motor.mode:
             shares = 1.0 - np.exp(-motor.mode * spans)
         else:
             shares = spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
@@ -89,19 +96,22 @@ class Feedback:
             jump=settings.jump * max(1.0, TUNED_PERIOD / period), gain=min(1.0, TUNED_PERIOD / period),
             mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
             whole=whole, part=settings.delay / period - whole, pause=round(PAUSE / period),
+            damp=motor.damping * NOMINAL["Km"] / RATED_FLOW,
+            swell=1e-12 * motor.compliance * NOMINAL["J"] / NOMINAL["D"] / RATED_FLOW / period if motor.damping else 0.0,
+            push=NOMINAL["D"] / NOMINAL["J"], inertia=NOMINAL["J"], drag=motor.friction * NOMINAL["B"],
         )  # fmt: skip
         pair = (num_rigs, 2)
         self.state = FeedbackState(
             np.zeros(pair), np.zeros(pair), np.zeros(num_rigs), np.zeros(num_rigs), np.zeros(num_rigs, int)
         )
-        self._wanted = np.zeros((MAX_DELAY + 1, *pair))
+        self._wanted, self._before = np.zeros((MAX_DELAY + 1, *pair)), np.zeros(num_rigs)
 
     def reset(self, rows: Rows, speed: Floats) -> None:
         """The flow that holds the speeds (n, 2)."""
         f = self.state
         f.flow[rows], f.apart[rows], f.behind[rows] = self._channel.per_speed * speed, 0.0, 0.0
         f.sudden[rows], f.pause[rows] = 0.0, 0
-        self._wanted[:, rows] = 0.0
+        self._wanted[:, rows], self._before[rows] = 0.0, 0.0
 
     def update(
         self, speed: Floats, motors: MotorState, noise: Floats, delay: NDArray[np.int64], wanted: Floats,
@@ -121,7 +131,8 @@ class Feedback:
         self._wanted = np.concatenate([wanted[None], self._wanted[:-1]])
         f, speed = self.state, np.ascontiguousarray(speed)
         _sudden(self._numbers, motors.miss, noise, probing, f)
-        _ask(self._numbers, self._channel, speed, motors.torque, delay, self._wanted, reference, f)
+        _ask(self._numbers, self._channel, speed, motors, delay, self._wanted, self._before, reference, f)
+        self._before[:] = reference.acceleration
 
 
 @compiled
@@ -134,26 +145,29 @@ def _sudden(s, miss, noise, probing, f):
 
 
 @compiled
-def _ask(s, m, speed, torque, delay, wanted, r, f):
-    ahead = np.empty(2)
+def _ask(s, m, speed, motors, delay, wanted, before, r, f):
+    ahead, torque, pressure = np.empty(2), motors.torque, motors.pressure
     for i in range(delay.size):
         for c in range(2):
-            ahead[c] = _predict(s, m, speed[i, c], torque[i, c], delay[i], wanted[:, i, c])
-        motors = (speed[i, 0] + speed[i, 1]) / 2.0
+            ahead[c] = _predict(s, m, speed[i, c], torque[i, c], pressure[i, c], delay[i], wanted[:, i, c])
+        mean = (speed[i, 0] + speed[i, 1]) / 2.0
         at = s.whole + delay[i]  # the reference `delay` ago
-        f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - motors
+        f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - mean
         gain = s.gain / (1.0 + s.late * delay[i])
         for c in range(2):
             f.apart[i, c] = 0.5 * (ahead[c] - ahead[1 - c])
             faster = r.acceleration[i] + gain * (s.track * f.behind[i] - s.couple * f.apart[i, c])
             f.flow[i, c] = (
                 m.per_speed * r.speed[i] + m.per_acceleration * faster + m.per_torque * torque[i, c]
-            )
+            ) + (s.swell * (r.acceleration[i] - before[i]) - s.damp * pressure[i, c])
 
 
 @compiled
-def _predict(s, m, speed, torque, late, wanted):
+def _predict(s, m, speed, torque, pressure, late, wanted):
     """Speed when a new command acts: whole periods until the last command comes into effect, then what the spool takes."""
+    if s.damp > 0.0:
+        span = late * s.share_period + s.share_lead
+        return speed + span * (s.push * pressure - (torque + s.drag * speed) / s.inertia)
     for more in range(late + 1):
         share = s.share_period if more < late else s.share_lead
         flow = wanted[late - more]

@@ -24,10 +24,11 @@ from hydro_env.controllers.estimation.valve_estimator import ValveSettings
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.mpc.crossing import CrossingSettings
 from hydro_env.controllers.mpc.feedback import FeedbackSettings
+from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.controllers.mpc.reference import ReferenceSettings
-from hydro_env.plant import Plant
+from hydro_env.plant import Plant, PlantModel, Scales, scales_of
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
 
@@ -49,7 +50,8 @@ SEARCH = Gain(
 
 
 class ProbingFlow(Controller):
-    """Probes the valves at rest. The drawn valves are unknown to it, the paper's motor is known."""
+    """Probes the valves at rest. The drawn valves are unknown to it, the motor is known: from the model, unless it leaks as the
+    paper's does. Gains at their default follow from the model too."""
 
     similar = True
     GAINS: ClassVar[tuple[Gain, ...]] = (RATE, RISE, FALL, SWEEP, SEARCH)
@@ -57,6 +59,18 @@ class ProbingFlow(Controller):
     """Beneath the gains."""
 
     law: FlowController | None = None
+    _model: PlantModel | None = None
+
+    def drives(self, model: PlantModel) -> None:
+        super().drives(model)
+        self._model = model if self._fits(model) else None
+
+    def units_for(self, model: PlantModel) -> Scales:
+        return units_of(model) if self._fits(model) else scales_of(model)
+
+    def _fits(self, model: PlantModel) -> bool:
+        """Whether units and settings follow from the model."""
+        return not leaks(model)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
@@ -72,6 +86,10 @@ class ProbingFlow(Controller):
     def _begun(self, measured: Measurements) -> FlowController:
         """The law with these gains, after the first measurements."""
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
+        if self._model is not None:
+            own = settings_of(self._model, self.period)
+            s = replace(own, probing=replace(own.probing, active=s.probing.active))
+            gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
         def tuned(part: Any, *names: str) -> Any:
             return replace(part, **{name: gains[name] for name in names if name in gains})
@@ -112,6 +130,9 @@ class RigFlow(ProbingFlow):
     # the rise of flow has no say here: the reference is slower
     GAINS = (replace(RATE, default=14.9), replace(SWEEP, default=2.36), replace(SEARCH, default=2.19))
     settings = RIG
+
+    def _fits(self, model: PlantModel) -> bool:
+        return False
 
 
 NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))

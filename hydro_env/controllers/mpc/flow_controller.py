@@ -23,7 +23,7 @@ import numpy as np
 
 from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
-from hydro_env.controllers.estimation.nominal import FLOWING, SPOOL_RATE, Motor
+from hydro_env.controllers.estimation.nominal import FLOWING, Motor
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.controllers.mpc.compensation import compensate
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
@@ -31,6 +31,7 @@ from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
 from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
+from hydro_env.controllers.settings import setting
 from hydro_env.envs.observation import Measurements
 
 __all__ = ["FlowController", "FlowSettings"]
@@ -47,6 +48,7 @@ class FlowSettings:
     crossing: CrossingSettings = field(default_factory=CrossingSettings)
     feedback: FeedbackSettings = field(default_factory=FeedbackSettings)
     planner: PlannerSettings | None = field(default_factory=PlannerSettings)
+    shaped: bool = setting(True, "", "whether commands are averaged: a well-damped spool does not ring")
 
 
 class FlowController:
@@ -64,7 +66,7 @@ class FlowController:
         self.crossing = Crossing(s.crossing, n, period)
         self.feedback = Feedback(s.feedback, s.motor, self.estimator.channel, n)
         self.reference = Reference(s.reference, self.estimator.channel, n, self.feedback.remembered)
-        self.shaper = InputShaper(SPOOL_RATE, period, np.zeros((n, 2)))
+        self.shaper = InputShaper(s.estimator.spool.rate, period, np.zeros((n, 2)))
         self.planner = Planner(s.planner, n, self.estimator.channel) if s.planner else None
         self._plans = self.planner is not None and self.planner.fits(period)
         # periods by which speeds follow the reference
@@ -105,7 +107,9 @@ class FlowController:
         """Commands (num_rigs, 2) in [-1, 1]."""
         e, probing = self.estimator, self.probing.active
         valves = e.valves.state
-        flow = self.feedback.state.flow.copy()
+        flow = self.feedback.state.flow / self.settings.motor.strength(
+            self.feedback.state.flow, e.motors.state.pressure
+        )
         asked = np.empty_like(flow)
         compensate(flow, valves, asked)
         self.crossing.steer(asked, e.flow, FLOWING * e.flow_noise, valves)
@@ -115,7 +119,7 @@ class FlowController:
         last = self.sent
         # A share of each command is not filtered where a load is sudden.
         sudden, newest = self.feedback.state.sudden[:, None], np.clip(asked, -1.0, 1.0)
-        smooth = self.shaper.step(newest)
+        smooth = self.shaper.step(newest) if self.settings.shaped else newest
         self.shaper.past = [each + sudden * (newest - each) for each in self.shaper.past]
         sent = np.clip(smooth + sudden * (newest - smooth), -1.0, 1.0)
         led = self.probing.lead(sent, e.spool, e.valves, e.channel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,9 @@ class ReferenceSettings:
     fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
     doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
     capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
+    most: float = setting(
+        inf, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"
+    )
     foresight: float = setting(1.0, "1", "response times by which a smooth set-point is foreseen", HAND)
 
 
@@ -99,14 +103,14 @@ def capacity(gain, edge):
 def _advance(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
     for i in range(setpoint.size):
         motors = (speed[i, 0] + speed[i, 1]) / 2.0
-        load = m.per_torque * ((torque[i, 0] + torque[i, 1]) / 2.0)
+        mean_load = (torque[i, 0] + torque[i, 1]) / 2.0
+        load = m.per_torque * mean_load
         held = m.per_speed * r.speed[i] + load
-        faster = _acceleration(s, growth, m, i, setpoint[i], held, valves, r)
+        faster = _acceleration(s, growth, m, i, setpoint[i], held, mean_load, valves, r)
         for k in range(r.history.shape[0] - 1, 0, -1):
             r.history[k, i] = r.history[k - 1, i]
         if coasts[i] or rests[i]:
             r.speed[i] = motors
-            mean_load = (torque[i, 0] + torque[i, 1]) / 2.0
             r.acceleration[i] = (
                 0.0 if rests[i] else -m.per_speed / m.per_acceleration * motors - mean_load / INERTIA
             )
@@ -119,7 +123,7 @@ def _advance(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
 
 
 @compiled
-def _acceleration(s, growth, m, i, setpoint, held, valves, r):
+def _acceleration(s, growth, m, i, setpoint, held, load, valves, r):
     """Acceleration by the flow that the reference asks for; `held` is the flow that holds its speed."""
     gain, edge = valves.gain[i], valves.edge[i]
     now = held + m.per_acceleration * r.acceleration[i]
@@ -131,4 +135,5 @@ def _acceleration(s, growth, m, i, setpoint, held, valves, r):
     flow = min(max(flow, now - downward), now + upward)
     least = s.capacity * min(capacity(gain[0], edge[0, 1]), capacity(gain[1], edge[1, 1]))
     most = s.capacity * min(capacity(gain[0], edge[0, 0]), capacity(gain[1], edge[1, 0]))
-    return (min(max(flow, -least), most) - held) / m.per_acceleration
+    faster = (min(max(flow, -least), most) - held) / m.per_acceleration
+    return min(max(faster, -s.most - load / INERTIA), s.most - load / INERTIA)
