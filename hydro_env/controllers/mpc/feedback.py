@@ -55,9 +55,9 @@ class FeedbackNumbers(NamedTuple):
     whole: int  # periods of the delay, and the part of one
     part: float
     pause: int
-    damp: float  # flow that a pressure takes off, per Pa
-    swell: float  # flow into the lines per change of acceleration, and acceleration per pressure
-    push: float
+    damp: float  # flow that is taken off per pressure, 1/Pa
+    swell: float  # flow into the lines per change of acceleration in a period
+    push: float  # acceleration per pressure
     inertia: float
     drag: float
 
