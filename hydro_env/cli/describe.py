@@ -36,7 +36,7 @@ def describe(
         print(data_sheet.template(), end="")
         return
     if out is None:
-        raise InputError("--out is missing: the folder to write the model to")
+        raise InputError("Missing option '--out': the folder to write the model to")
     if sheet is None and not sys.stdin.isatty():
         raise InputError(
             "name a data sheet (`hydro-env describe --template` prints an empty one); questions need a terminal"

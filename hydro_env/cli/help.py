@@ -14,8 +14,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Task": (
         "algo", "config", "steps",
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
-        "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
-        "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "play",
+        "linear", "as_shipped", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate",
+        "duration", "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "play",
         "empty", "command_limit", "rate_limit", "pressure_limit", "load_limit", "signal", "fmi",
     ),
     "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),

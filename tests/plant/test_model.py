@@ -146,7 +146,7 @@ def test_a_missing_file_or_preset_is_named() -> None:
         ("effects: {dead_zone: {both: {overlap_positive: 70}}}", ["70 m", "0 to 0.00045 m"]),
         ("effects: {dead_zone: {both: {overlap_positive: -1.0e-5}}}", ["-1e-05 m", "0 to 0.00045 m"]),
         ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-07 to 0.3 m3/rad"]),
-        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "20 m2/s"]),
+        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "100 m2/s"]),
         ("both: {u_rated: 0.001}", ["0.1 to 1e+06 V"]),
     ],
 )

@@ -177,7 +177,8 @@ def correct_all(
     every: list[Correction] = []
     for one in distinct(estimates):
         names = [(effect, channel) for effect, channel in named if one.channel in (None, channel)]
-        better, kept = correct(fit, one, names, known)
-        found.update(dict.fromkeys(fit.channels_of(one), better))
-        every += kept
+        if names or given_on(fit, one):
+            better, kept = correct(fit, one, names, known)
+            found.update(dict.fromkeys(fit.channels_of(one), better))
+            every += kept
     return found, every
