@@ -207,6 +207,8 @@ def named(case: Case, plant: str | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model = load_model(plant or drawn(case.seed))
+        for word in case.hidden:  # what is hidden is not in the given model
+            model = model.without(word.partition(":")[0])
         practice = make_practice(case.hidden, model=model, base_error=BASE_ERROR, seed=case.seed, rate=500.0)
         practice.write(folder)
         files = [folder / f"{log}.csv" for log in ("fit_1", "fit_2", "sealed")]
