@@ -88,6 +88,12 @@ class Scales:
         """Scale of torques on the shaft."""
         return self.factor("N m")
 
+    @property
+    def rough(self) -> Scales:
+        """The same, with what is about as large as on the paper's rig taken as equal: within a quarter of a decade."""
+        own = {name: 1.0 if 10**-0.25 < value < 10**0.25 else value for name, value in vars(self).items()}
+        return Scales(**(own | {"command": self.command}))
+
     def factor(self, unit: str) -> float:
         """Scale of a quantity with this unit."""
         factor = 1.0

@@ -72,3 +72,10 @@ def test_each_valve_has_its_own_command_and_the_rig_one_motor_size() -> None:
 def test_what_belongs_to_the_oil_stays() -> None:
     usual = scales_of(large()).effect(CATALOGUE["anti_cavitation"])
     assert usual.parameter("opening_pressure") is CATALOGUE["anti_cavitation"].parameter("opening_pressure")
+
+
+def test_a_rig_of_about_the_papers_size_has_its_numbers_in_a_diagnosis() -> None:
+    near = Scales(command=0.2, flow=0.63, pressure=1.25, displacement=1.6)
+    assert near.rough == Scales(command=0.2)
+    far = Scales(flow=2.0, displacement=0.5)
+    assert far.rough == far

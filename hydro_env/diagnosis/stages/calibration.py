@@ -76,7 +76,7 @@ def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
 
 def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:
     """The parameters that calibration may adjust, about their values in the model as given; of these the `chosen` ones."""
-    limited, scales = limited_by_effects(), scales_of(rig.model, channel)
+    limited, scales = limited_by_effects(), scales_of(rig.model, channel).rough
     found = []
     for name in rig.base(channel):
         if chosen is not None and name not in chosen:
