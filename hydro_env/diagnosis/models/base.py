@@ -258,8 +258,8 @@ def given_repeats(rig: RigModel, channel: int) -> dict[str, str | float]:
 
 
 def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:
-    """An effect of the catalogue with the sizes that are usual on this rig; `channel` as in `Request`. First looks stand where many
-    logs have shown them to lead to a minimum, so they do not move with what is about as large as on the paper's rig."""
+    """An effect of the catalogue with the sizes that are usual on this rig; `channel` as in `Request`. First looks stand where
+    many logs have shown them to lead to a minimum, so they do not move with what is about as large as on the paper's rig."""
     return scales_of(rig.model, channel).rough.effect(CATALOGUE[name])
 
 
