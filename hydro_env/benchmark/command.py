@@ -428,13 +428,9 @@ def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:
         return None
     limit = float(
         f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}"
-    )  # of the axis of the speed difference
-    return {
-        "period_s": conditions.control_period,
-        "limit_rpm": limit,
-        "metric": TRACE_METRIC,
-        "splits": places,
-    }
+    )  # of the axis of the difference
+    about = {"period_s": conditions.control_period, "limit_rpm": limit, "metric": TRACE_METRIC}
+    return {**about, "splits": places}
 
 
 def report(scores: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from hydro_env.plant import PARAMETERS
 from hydro_env.plant.catalogue.supply import steady_droop
 from hydro_env.units import BAR, LPM, MILLIMETRE, MILLISECOND, REVOLUTION, RPM
 
-__all__ = ["EFFECTS", "HOW", "Fitted", "parameters", "total_drop"]
+__all__ = ["EFFECTS", "HOW", "Fitted", "full_flow", "parameters", "total_drop"]
 
 DENSITY = 870.0  # kg/m3, mineral oil
 #: The effects of every model that is derived here; `crossport_relief` where the sheet has it.
@@ -80,7 +80,7 @@ def total_drop(q: Mapping[str, float]) -> float:
 
 
 def full_flow(q: Mapping[str, float]) -> float:
-    """Flow of the open valve at the supply pressure, m3/s."""
+    """Flow of the open valve at the supply pressure, m3/s: it grows with the root of the drop."""
     return q["rated_flow_lpm"] * LPM * math.sqrt(q["pressure_bar"] * BAR / total_drop(q))
 
 

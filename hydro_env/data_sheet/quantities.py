@@ -7,11 +7,10 @@ a standard. They stand in this file and nowhere else.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
+from hydro_env.data_sheet.derive import full_flow
 from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Oil, Supply, Valve
-from hydro_env.units import LPM
 
 __all__ = ["Quantity", "quantities"]
 
@@ -89,6 +88,11 @@ class _Known(dict[str, Quantity]):
         if value is not None and not isinstance(value, bool | str):
             self.setdefault(key, Quantity(float(value)))
 
+    @property
+    def values_by_key(self) -> dict[str, float]:
+        """The values alone."""
+        return {key: quantity.value for key, quantity in self.items()}
+
     def assume(self, key: str, low: float, value: float, high: float, why: str = _RULE) -> None:
         self.setdefault(key, Quantity(value, low, high, why))
 
@@ -100,12 +104,6 @@ class _Known(dict[str, Quantity]):
             lows, highs = [low, *(c[key][1] for c in others)], [high, *(c[key][2] for c in others)]
             why = f"{_RULE}: {(kind or default).replace('_', ' ')}{'' if kind else ', as the kind is not given'}"
             self.assume(key, min(lows), value, max(highs), why)
-
-
-def full_flow(known: Mapping[str, Quantity]) -> float:
-    """Flow of the open valve at the supply pressure, m3/s: it grows with the root of the drop."""
-    drop = known["edges"].value * known["at_pressure_drop_bar"].value
-    return known["rated_flow_lpm"].value * LPM * math.sqrt(known["pressure_bar"].value / drop)
 
 
 def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
@@ -162,7 +160,7 @@ def _of_valve(known: _Known, valve: Valve) -> None:
 
 
 def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
-    fastest = 60.0 * full_flow(known) / (1e-6 * motor.displacement_cm3)
+    fastest = 60.0 * full_flow(known.values_by_key) / (1e-6 * motor.displacement_cm3)
     if fastest < 1000.0:
         known.assume("at_speed_rpm", 0.4 * fastest, 0.7 * fastest, fastest, "share of the speed at full flow")
     known.assume_class(_MOTORS, motor.kind, "gear")
@@ -183,7 +181,7 @@ def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
 
 def _of_lines(known: _Known, lines: Lines) -> None:
     known.assume("length_m", 0.3, 1.0, 3.0)
-    bore = 1000.0 * math.sqrt(4.0 * full_flow(known) / (math.pi * _OIL_SPEED))
+    bore = 1000.0 * math.sqrt(4.0 * full_flow(known.values_by_key) / (math.pi * _OIL_SPEED))
     known.assume(
         "bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
     )

@@ -13,12 +13,13 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
     with_correction,
 )
+from hydro_env.diagnosis.stages.rig_effects import drop_vanished
 from hydro_env.diagnosis.stages.search import Search
 from hydro_env.diagnosis.stages.selection import prefer_form
 from hydro_env.plant import CATALOGUE, load_model
@@ -199,3 +200,19 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
         values["corner_shape.corner_positive"][1]
     )
     assert whole.values(1) == {"load_bias.bias": 0.2, "corner_shape.turn": 1.0}
+
+
+def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
+    first, other = (
+        _bare(),
+        Estimate(1, effect_unknowns(CATALOGUE["dead_zone"], dict.fromkeys(SIZES, 0.0)), np.zeros(2)),
+    )
+    first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
+    choices = [Accepted("dead_zone", c, 50.0, 36.0) for c in (0, 1)] + [
+        Accepted("supply_droop", None, 90.0, 36.0)
+    ]
+    trials: list[Candidate] = []
+    left, less = drop_vanished(joined({0: first, 1: other}), choices, trials)
+    assert less.placed_effects() == [("dead_zone", 0)]
+    assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
+    assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].outcome

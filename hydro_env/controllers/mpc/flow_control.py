@@ -16,18 +16,9 @@ from typing import Any, ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import on_the_bench
-from hydro_env.controllers.estimation.delay_estimator import DelaySettings
-from hydro_env.controllers.estimation.estimator import EstimatorSettings
-from hydro_env.controllers.estimation.nominal import Motor
-from hydro_env.controllers.estimation.spool import SpoolSettings
-from hydro_env.controllers.estimation.valve_estimator import ValveSettings
 from hydro_env.controllers.estimation.valve_map import ValveMap
-from hydro_env.controllers.mpc.crossing import CrossingSettings
-from hydro_env.controllers.mpc.feedback import FeedbackSettings
-from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
+from hydro_env.controllers.mpc.fitted import RIG, leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.controllers.mpc.probing import ProbingSettings
-from hydro_env.controllers.mpc.reference import ReferenceSettings
 from hydro_env.plant import Plant, PlantModel, Scales, scales_of
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
@@ -104,24 +95,6 @@ class ProbingFlow(Controller):
         )
         law.start(measured, self.period)
         return law
-
-
-RIG = FlowSettings(
-    motor=Motor(leakage=0.01666, compliance=0.0625, mode=23.2),
-    estimator=EstimatorSettings(
-        spool=SpoolSettings(damping=0.3, friction=0.54),
-        valves=ValveSettings(
-            drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0
-        ),
-        delay=DelaySettings(certain=12.0, most=100.0, loose=0.0),
-    ),
-    reference=ReferenceSettings(doubt=2.9, capacity=1.0, foresight=0.0),
-    probing=ProbingSettings(led=False, detect=0.0047, patience=0.0),
-    crossing=CrossingSettings(known=0.0135),
-    feedback=FeedbackSettings(track=30.0, couple=60.0, delay=0.0114, lead=1.23, late=0.78),
-    planner=None,
-)
-"""For the preset `rig`, whose motors hardly leak and follow the flow. Found by an evolution strategy on pairs of `train`."""
 
 
 class RigFlow(ProbingFlow):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from ..estimation import SETTLE_ITERATIONS, Estimate, joined, solve
-from .candidates import ACCEPTED, OUTDONE, Accepted, judge, penalty
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, is_neutral, judge, penalty
 from .search import Search, short_refit
 
-__all__ = ["rig_effect_leads", "select_rig_effects"]
+__all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]
 
 
 def rig_effect_leads(search: Search) -> bool:
@@ -41,5 +41,24 @@ def select_rig_effects(search: Search) -> None:
         outcome = OUTDONE if outcome == ACCEPTED and p is not best else outcome
         search.record(p.label, None, 1, gain, outcome, p)
         if outcome == ACCEPTED:
-            search.accepted.append(Accepted(p.label, None, gain, penalty(fit, p.label), without=before))
-            search.present = dict.fromkeys(fit.rig.channels, best)
+            found = Accepted(p.label, None, gain, penalty(fit, p.label), without=before)
+            search.accepted, left = drop_vanished(best, [*search.accepted, found], search.candidates)
+            if left is not best:
+                solve(fit, [left], SETTLE_ITERATIONS)
+            search.present = dict.fromkeys(fit.rig.channels, left)
+
+
+def drop_vanished(
+    estimate: Estimate, accepted: list[Accepted], candidates: list[Candidate]
+) -> tuple[list[Accepted], Estimate]:
+    """The effects that did not vanish when those of the rig joined them, and the estimate with these alone: what an effect of the
+    rig explains is no channel's."""
+    left, less = [], estimate
+    for k in accepted:
+        if k.channel is not None and is_neutral(estimate, k.effect, k.channel):
+            outcome = "vanishes beside an effect of the whole rig"
+            candidates.append(Candidate(k.effect, k.channel, AFTER_ROUNDS, 0.0, k.needed, outcome, estimate))
+            less = less.without(k.effect, k.channel)
+        else:
+            left.append(k)
+    return left, less
