@@ -117,10 +117,12 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     scenario have a random stream of their own for each seed and episode. In a split with a fixed list of n cases the
     first episode of seed s meets case s modulo n, whatever else is chosen.
 
-    ## Version history
+    ## Versions
 
-    * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2, errors=True`.
-    * `HydraulicSyncIncrement-v1`: in addition `reward={"tracking": 0.08, "difference": 0.18, "variation": 0.002}`, since
+    * `HydraulicSync-v0`: first version. A number means the same as long as `hydro_env.tasks.VERSIONS` (of physics, splits and
+      reward) does; where one of these is raised, all ids go up.
+    * `HydraulicSyncIncrement-v0`: the same with `increment=0.3, history=2, errors=True`.
+    * `HydraulicSyncTraining-v0`: in addition `reward={"tracking": 0.08, "difference": 0.18, "variation": 0.002}`, since
       critics are slow to learn returns of a hundred.
     """
 
