@@ -2,8 +2,8 @@
 
 The set follows Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice"
 (NeurIPS 2021): a mean that outliers do not carry, an interval that says what the number of cases allows,
-and a figure for the worst cases, which decide whether a controller may run a machine. Every metric here is
-a cost: smaller is better.
+and a figure for the worst cases, which decide whether a controller may run a machine. A metric is a cost,
+smaller is better, unless `more` is.
 
 `scipy.stats.bootstrap` has no strata and draws again for every metric; the other
 figures are not in SciPy.
@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "Summary", "bootstrap_interval", "cvar", "gap_closed", "iqm", "probability_of_improvement", "summarise",
+    "Summary", "bootstrap_interval", "cvar", "iqm", "normalised", "probability_of_improvement", "summarise",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -105,21 +106,23 @@ class Summary:
     cvar95: float
     n: int
 
+    @property
+    def row(self) -> dict[str, Any]:
+        """As scores.json has it."""
+        return {"iqm": self.iqm, "ci95": list(self.ci95), "cvar95": self.cvar95, "n": self.n}
 
-def summarise(values: ArrayLike, *, strata: ArrayLike | None = None, seed: int = 0) -> Summary:
-    """Interquartile mean with its 95 % interval, CVaR at 95 % and the number of cases."""
+
+def summarise(
+    values: ArrayLike, *, strata: ArrayLike | None = None, seed: int = 0, more: bool = False
+) -> Summary:
+    """Interquartile mean with its 95 % interval, CVaR at 95 % and the number of cases; where `more` is better the worst cases are
+    those with the smallest values."""
     sample = np.asarray(values, dtype=float).ravel()
-    interval = bootstrap_interval(sample, strata=strata, seed=seed)
-    return Summary(iqm(sample), interval, cvar(sample), sample.size)
+    interval, sign = bootstrap_interval(sample, strata=strata, seed=seed), -1.0 if more else 1.0
+    return Summary(iqm(sample), interval, sign * cvar(sign * sample), sample.size)
 
 
-def gap_closed(ours: Summary, baseline: Summary, bound: Summary) -> float | None:
-    """Share of the way from the baseline to the bound that `ours` has gone, of interquartile means: 0 at the
-    baseline, 1 at the bound, negative if worse than the baseline.
-
-    None where the interval of the bound does not lie wholly below the baseline's: then there is no gap that
-    the number of cases can tell from nothing, and a share of it would be noise.
-    """
-    if bound.ci95[1] >= baseline.ci95[0]:
-        return None
-    return (baseline.iqm - ours.iqm) / (baseline.iqm - bound.iqm)
+def normalised(returns: ArrayLike, ends: tuple[float, float]) -> Floats:
+    """Returns on a scale that is 0 at the first of `ends` and 100 at the second."""
+    low, high = ends
+    return 100.0 * (np.asarray(returns, dtype=float) - low) / (high - low)

@@ -22,9 +22,12 @@ Metric = Annotated[str, known("metric", METRICS)]
 
 
 class Suite(FileTable):
-    """`splits` maps a split to its number of cases; `scenarios` and `metrics` are names."""
+    """`splits` maps a split to its number of cases, counted from `first` on; `scenarios` and `metrics` are names. With `protocol`
+    the controllers that set 0 and 100 of the score take part, and each gets a result file."""
 
     name: str
+    first: Annotated[int, Field(ge=0, le=10_000)] = 0
+    protocol: bool = False
     splits: Annotated[dict[Split, Count], Field(min_length=1)]
     scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)]
     metrics: Annotated[tuple[Metric, ...], Field(min_length=1)]
@@ -37,9 +40,9 @@ class Suite(FileTable):
                     raise ValueError(f"{what} {shown(name)} is named more than once")
         for split, cases in self.splits.items():
             listed = None if split == OWN else SPLITS[split].cases
-            if listed is not None and cases > listed:
+            if listed is not None and self.first + cases > listed:
                 raise ValueError(
-                    f"split {split!r}: {cases} cases are asked for, there are {listed} pairs of valves"
+                    f"split {split!r}: {cases} cases from {self.first} on are asked for, there are {listed} pairs of valves"
                 )
         return self
 

@@ -67,7 +67,6 @@ def tune(
 
 
 def benchmark(
-    out: Out,
     controllers: Annotated[list[str] | None, Argument(
         metavar="[CONTROLLER]...",
         help="Names, gains files (.json), policies (.npz), agents of Stable-Baselines3 (.zip, with --trust), file.py:Class "
@@ -77,7 +76,7 @@ def benchmark(
     more: Annotated[
         list[str] | None, Option("--controllers", metavar="CONTROLLER...", help="The same, as an option.")
     ] = None,
-    suite: Annotated[str, Option(help="quick, full or a YAML file.")] = "full",
+    suite: Annotated[str, Option(help="quick, full, paper (the protocol: all that can be cited) or a YAML file.")] = "full",
     split: Annotated[list[str] | None, Option(
         help="Only this split; may be repeated. own: the plant's own pair of valves, the default for a plant file that sets what "
         "the suite's splits draw."
@@ -97,6 +96,13 @@ def benchmark(
         "--as-shipped", help="On a plant file: score shipped gains, carried over by similarity, instead of tuning them for this "
         "plant first (once; kept in the folder gains of --cells, else of --out)."
     )] = False,
+    out: Annotated[Path | None, Option(help="Folder to write to; created if needed. Needed but with --check.")] = None,
+    check: Annotated[Path | None, Option(
+        metavar="FILE.json", help="Drive a random tenth of this result file again: it must be the same bit for bit."
+    )] = None,
+    declare: Annotated[Path | None, Option(
+        metavar="FILE.yaml", help="How the agent was trained, for the result files of --suite paper."
+    )] = None,
     trust: Annotated[bool, Option(
         "--trust", help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs."
     )] = False,
@@ -106,17 +112,23 @@ def benchmark(
 ) -> None:  # fmt: skip
     """Score controllers on the fixed suite.
 
-    Writes scores.json and scores.html.
+    Writes scores.json and scores.html; with --suite paper also result_NAME.json of each controller.
     """
-    with writing(out) as folder:
-        from hydro_env.benchmark import command
+    from hydro_env.benchmark import command, result
 
+    given = [*(controllers or []), *(more or [])]
+    if check is not None:
+        print(result.check(check, given, seed=seed, trust=trust, engine=engine, jobs=jobs))
+        return
+    if out is None:
+        raise InputError("benchmark: --out is missing: the folder to write to")
+    with writing(out) as folder:
         rig, split = _rig(plant, mapping, split, trust)
         selection = command.Selection(suite, split, scenario, cases)
         conditions = command.Conditions(rig, control_period, seed, limit)
         scores = command.run(
-            folder, controllers=[*(controllers or []), *(more or [])], selection=selection, conditions=conditions,
-            engine=engine, jobs=jobs, cells_folder=cells, trust=trust, gains=None if as_shipped else (cells or out) / "gains",
+            folder, controllers=given, selection=selection, conditions=conditions, engine=engine, jobs=jobs, cells_folder=cells,
+            trust=trust, gains=None if as_shipped else (cells or out) / "gains", declared=declare,
         )  # fmt: skip
         print(command.report(scores))
 

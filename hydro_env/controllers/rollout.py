@@ -37,13 +37,18 @@ class Step(NamedTuple):
 @dataclass(frozen=True)
 class Episodes:
     """What happened: the true signals of every rig, and which fault each rig had ("" for none). `typical_command` is the median
-    size of what the controller returned, before it was limited to [-1, 1]; `returns` (num_rigs,) are the sums of the
-    environment's reward with its default weights."""
+    size of what the controller returned, before it was limited to [-1, 1]; `decision_s` how long it took for a rig and a
+    command."""
 
     trace: Trace
     faults: tuple[str, ...]
     typical_command: float
-    returns: Floats
+    decision_s: float = 0.0
+
+    @property
+    def returns(self) -> Floats:
+        """Sums of the environment's reward with its default weights, (num_rigs,)."""
+        return self.trace.returns
 
     def metrics(self, names: Iterable[str] | None = None) -> dict[str, Floats]:
         """Scores of every rig by metric, each (num_rigs,)."""
@@ -103,8 +108,10 @@ def roll_out(
         done = np.asarray(truncated)
     arrays = {key: np.array(rows) for key, rows in signals.items()}
     settled = env.scales.speed * SETTLED_RPM
-    trace = Trace(period=control_period, command=np.array(commands), settled_rpm=settled, **arrays)
-    return Episodes(trace, faults, float(np.median(sizes)), returns)
+    trace = Trace(
+        period=control_period, command=np.array(commands), settled_rpm=settled, returns=returns, **arrays
+    )
+    return Episodes(trace, faults, float(np.median(sizes)), spent / (len(sizes) * len(seeds)))
 
 
 def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:

@@ -7,7 +7,7 @@ trace lie at n * period; row 0 is the rest state in which the episode starts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 
 #: The motors of the paper's rig count as in step while their speeds differ by no more than this, rpm.
 SETTLED_RPM = 10.0
+#: A change of direction of the command counts from this way on, fraction of the rated command: less than cheap valves resolve.
+REVERSAL = 0.01
 #: For so long (s) they have to, or they were not back in step: three periods of the spools' mode, so that passing through
 #: zero while ringing does not count.
 SETTLED_S = 0.1
@@ -38,6 +40,7 @@ class Trace:
         missing: (T - 1, N, 2))
     peak_difference_rpm: (T, N), the largest absolute difference of the speeds since the row before, on a grid of 1 ms or finer
     settled_rpm: while the speeds differ by no more than this, the motors count as in step
+    returns: (N,), sums of the environment's default reward; empty where nothing gave a reward
     """
 
     period: float
@@ -47,6 +50,7 @@ class Trace:
     command: Floats
     peak_difference_rpm: Floats
     settled_rpm: float = SETTLED_RPM
+    returns: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def difference_rpm(self) -> Floats:
@@ -71,13 +75,14 @@ class Trace:
 
 @dataclass(frozen=True)
 class Metric:
-    """One score; lower is better for all of them. `title` is what it is called in words. `of(trace)` -> (N,)."""
+    """One score. `title` is what it is called in words. `of(trace)` -> (N,). Lower is better, unless `more` is."""
 
     name: str
     title: str
     unit: str
     definition: str
     of: Callable[[Trace], Floats]
+    more: bool = False
 
 
 def never_settled(trace: Trace) -> NDArray[np.bool_]:
@@ -91,7 +96,23 @@ def _travel(trace: Trace) -> Floats:
     return moves.mean(axis=(0, 2)) / trace.period
 
 
+def _reversals(trace: Trace) -> Floats:
+    extreme = way = turns = np.zeros_like(trace.command[0])
+    for command in trace.command:
+        extreme = way * np.maximum(way * extreme, way * command)
+        back = np.abs(command - extreme) >= REVERSAL
+        turns = turns + (back & (way != 0.0))
+        way = np.where(back, np.sign(command - extreme), way)
+        extreme = np.where(back, command, extreme)
+    return turns.mean(axis=1) / (len(trace.command) * trace.period)
+
+
 _ALL = (
+    Metric(
+        "return", "return", "",
+        "sum of the environment's reward with its default weights over the episode; more is better",
+        lambda trace: trace.returns, more=True,
+    ),
     Metric(
         "max_speed_difference_rpm", "peak synchronisation error", "rpm",
         "largest absolute difference of the two speeds in the episode, on a grid of 1 ms or finer whatever the control period",
@@ -124,6 +145,11 @@ _ALL = (
         "mean of both valves. A controller that shakes its valves wears them",
         _travel,
     ),
+    Metric(
+        "valve_reversals_per_s", "valve reversals", "1/s",
+        f"how often a second the command turns round by {100 * REVERSAL:g} % of the rated one or more, mean of both valves",
+        _reversals,
+    ),
     Metric("command_variation", "command variation", "1/s", "the same as `command_travel_per_s`", _travel),
 )  # fmt: skip
 
@@ -132,8 +158,10 @@ METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
 def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Floats]:
-    """Metrics of a trace, each (N,); all, or those named. InputError for an unknown name."""
-    chosen = list(METRICS if names is None else names)
+    """Metrics of a trace, each (N,); all that it has the signals for, or those named. InputError for an unknown name."""
+    chosen = (
+        [name for name in METRICS if name != "return" or trace.returns.size] if names is None else list(names)
+    )
     for name in chosen:
         if name not in METRICS:
             raise InputError(f"unknown metric {name!r}: {suggestion(name, METRICS)}")
