@@ -17,6 +17,8 @@ from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
 from .batch import HydraulicSyncVectorEnv
 from .env_spec import OwnSpec
+from .observation import Noise
+from .own_functions import OwnObservation, OwnReward
 from .plants import PlantLike
 from .randomisation import SEED
 from .render import PICTURES, Window
@@ -132,17 +134,19 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
         mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto", control_period: float = 0.01,
-        render_mode: str | None = None, *, history: int = 1, noise: float | Mapping[str, float] = 1.0,
-        reward: Mapping[str, float] | Reward | None = None, render_width: int = 640, increment: float | None = None,
-        errors: bool = False, tolerance_rpm: float | None = None,
+        render_mode: str | None = None, *, history: int = 1, noise: Noise = 1.0,
+        reward: Mapping[str, float] | Reward | OwnReward | None = None, observation: OwnObservation | None = None,
+        privileged: bool = False, render_width: int = 640, increment: float | None = None, errors: bool = False,
+        tolerance_rpm: float | None = None,
     ) -> None:  # fmt: skip
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
         self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
             1, plant, scenario, mismatch, control_period, "rgb_array" if render_mode == "human" else render_mode,
-            history=history, noise=noise, reward=reward, autoreset_mode=AutoresetMode.DISABLED,
-            render_width=render_width, increment=increment, errors=errors, tolerance_rpm=tolerance_rpm,
+            history=history, noise=noise, reward=reward, observation=observation, privileged=privileged,
+            autoreset_mode=AutoresetMode.DISABLED, render_width=render_width, increment=increment, errors=errors,
+            tolerance_rpm=tolerance_rpm,
         )  # fmt: skip
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
@@ -187,11 +191,13 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             key: row[column] if isinstance(column, slice) else values[column]
             for key, column in self.batch.columns.items()
         }
+        if self.batch.privileged is not None:
+            info["privileged"] = self.batch.privileged.now()[0]
         ended = bool(terminated[0])
         if ended:
             info["termination"] = self.batch.reasons(terminated)[0]
         self._show()
-        return self.batch.seen(observation)[0], float(reward[0]), ended, bool(truncated[0]), info
+        return self.batch.seen(observation, true)[0], float(reward[0]), ended, bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"; "human" shows it by itself."""
