@@ -60,8 +60,8 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
     Both agents end together. `reset` takes the options of the single environment; others are ignored with a warning, as
     PettingZoo asks for.
 
-    Arguments: `others`, and those of `HydraulicSyncEnv` but `observation` by keyword. Raises what that raises; ValueError if the actions are not
-    one for each agent.
+    Arguments: `others`, and those of `HydraulicSyncEnv` by keyword, without `observation`. Raises what that raises; ValueError if
+    the actions are not one for each agent.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's way)

@@ -52,6 +52,8 @@ def env_spec(spec: EnvSpec, env: Any) -> EnvSpec:
     registered = {name: each.default for name, each in signature(type(env)).parameters.items()}
     registered |= registry[spec.id].kwargs if spec.id in registry else {}
     changed = {key for key, own in kwargs.items() if registered.get(key) != own} - SAME_TASK
+    if kwargs.get("mismatch") == "train":  # what `auto` is for the default plant
+        changed.discard("mismatch")
     shorter = batch.episode_steps < batch.scenario.steps(batch.control_period)
     threshold = None if changed or shorter else spec.reward_threshold
     if isinstance(spec.kwargs.get("plant"), PlantModel | Plant) and kwargs.get("mismatch", "auto") == "auto":
