@@ -101,16 +101,21 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `render_mode`: None, "rgb_array" (pictures) or "human" (a window in real time); extra `render`.
     * `render_width`: of the picture in pixels, default 640; its height is three quarters of that.
     * `history`: frames in an observation, default 1.
-    * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
-    * `reward`: weights to be changed, such as {"variation": 0.5}.
+    * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}. In place of a number a range,
+      [lowest, highest], from which each episode draws, for each kind of sensor by itself.
+    * `reward`: weights to be changed, such as {"variation": 0.5}, or a function of the true signals of `info` (arrays with one
+      row per rig), with "reward" for the default one, that returns (N,).
+    * `observation`: None, or a function of the frames (N, n) and the true signals that returns (N, k); it is called once with
+      zeros to learn k. It goes row by row, as `reward` does: row i then is still the single environment.
+    * `privileged`: whether `info["privileged"]` tells what no sensor shows, see `hydro_env.envs.privileged_names`.
     * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
     * `errors`: whether each frame's errors to the set-point and speed difference, magnified, stand in front of the frames; see
       `hydro_env.envs.observation.with_errors`.
     * `tolerance_rpm`: None, or the error of a speed by which the simulation chooses its steps, in place of the model's (0.1 rpm
       unless its file says otherwise). A larger one is faster; see `hydro_env.plant.Plant`.
 
-    `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
-    a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
+    `reset(options=...)` takes, for that episode, `mismatch`, `scenario`, `noise` and `case` (number of the case of a split
+    with a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
 
     ## Seeds
 

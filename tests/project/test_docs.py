@@ -183,6 +183,7 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
         "howto/describe_your_rig.md",
         "howto/score_a_controller.md",
         "howto/train_an_agent.md",
+        "howto/your_own_task.md",
         "reference/environment.md",
     ],
 )
