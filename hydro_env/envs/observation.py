@@ -135,7 +135,7 @@ def noise_levels(noise: Noise, rig: Scales = PAPER, end: int = 0) -> Floats:
 
 def _level(value: Any, name: str, end: int) -> float:
     """A level, or an end of a range of them."""
-    if not isinstance(value, list | tuple | np.ndarray):
+    if not (isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)):
         return float(LEVEL.check(value, name))
     ends = [LEVEL.check(each, name) for each in value]
     if len(ends) != 2 or ends[0] > ends[1]:

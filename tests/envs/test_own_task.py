@@ -186,7 +186,7 @@ def test_noise_of_a_range_is_that_of_its_level():
 
 
 @pytest.mark.parametrize(
-    "noise", [[2.0, 0.5], [1.0], {"current_A": [0.0, "much"]}, [[0.5], 2.0], [-1.0, 2.0]]
+    "noise", [[2.0, 0.5], [1.0], np.array(1.0), {"current_A": [0.0, "much"]}, [[0.5], 2.0], [-1.0, 2.0]]
 )
 def test_a_wrong_range_of_noise_is_named(noise):
     with pytest.raises(InputError, match=r"noise(: current_A)? is "):
