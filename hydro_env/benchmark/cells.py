@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.benchmark.statistics import Summary, iqm, normalised, summarise
+from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, summarise
 from hydro_env.benchmark.suite import Suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import make_controller, split_gains
@@ -45,6 +45,8 @@ SCORE = Metric(
     "scenario; more is better",
     lambda trace: trace.returns, more=True,
 )  # fmt: skip
+SCORED = METRICS | {SCORE.name: SCORE}
+"""The metrics of scores.json by name."""
 RETURN, TRACKING = "return", "tracking_mae_rpm"
 IDLE = 0.75
 """Of the tracking error of motors that stand still: beyond it a controller counts as idle, and is ranked last. Half of it is the
@@ -291,16 +293,23 @@ def score_ends(cells: Iterable[Cell]) -> dict[tuple[str, str], tuple[float, floa
 
 
 def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, float]]) -> dict[str, Summary]:
-    """Score, peak and tracking error of a controller over all cases of a suite; every split and scenario is a stratum. Nothing
-    where it failed in one of them."""
+    """Score, peak and tracking error of a controller over a suite: the mean of its splits and scenarios. Nothing where it failed
+    in one of them."""
     if not all(cell.metrics for cell in cells):
         return {}
-    strata = [f"{cell.split} {cell.scenario} {fault}" for cell in cells for fault in cell.faults]
-    found = {}
-    for metric in (METRICS[TRACE_METRIC], METRICS[TRACKING]):
-        values = np.concatenate([cell.metrics[metric.name] for cell in cells])
-        found[metric.name] = summarise(values, strata=strata)
+    found = {
+        name: mean_of(
+            [cell.summaries[name] for cell in cells], [(cell.metrics[name], cell.faults) for cell in cells]
+        )
+        for name in (TRACE_METRIC, TRACKING)
+    }
     if all((cell.split, cell.scenario) in ends for cell in cells):
-        scores = [normalised(cell.metrics[RETURN], ends[cell.split, cell.scenario]) for cell in cells]
-        found[SCORE.name] = summarise(np.concatenate(scores), strata=strata, more=True)
+        of_cells = [(cell, *ends[cell.split, cell.scenario]) for cell in cells]
+        found[SCORE.name] = mean_of(
+            [normalised(cell.summaries[RETURN], (low, high)) for cell, low, high in of_cells],
+            [
+                (100.0 * (cell.metrics[RETURN] - low) / (high - low), cell.faults)
+                for cell, low, high in of_cells
+            ],
+        )
     return found

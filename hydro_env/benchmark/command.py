@@ -26,7 +26,7 @@ from hydro_env.benchmark.cells import (
 )  # fmt: skip
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.result import read_declared, write_results
-from hydro_env.benchmark.statistics import normalised, probability_of_improvement, summarise
+from hydro_env.benchmark.statistics import normalised, probability_of_improvement
 from hydro_env.benchmark.suite import Suite, load_suite
 from hydro_env.benchmark.tuned import tuned
 from hydro_env.controllers.registry import CONTROLLERS
@@ -136,8 +136,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
     ends = score_ends(cells)
     for cell in cells:
         if cell.metrics and (place := (cell.split, cell.scenario)) in ends:
-            score = normalised(cell.metrics[RETURN], ends[place])
-            summaries[cell.name, *place, SCORE.name] = summarise(score, strata=cell.faults, more=True)
+            summaries[cell.name, *place, SCORE.name] = normalised(cell.summaries[RETURN], ends[place])
     plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
     drawn = {split: _drawn_over(plant, split) for split in suite.splits if split != OWN}
@@ -146,7 +145,8 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "versions": {"hydro_env": __version__, **VERSIONS},
         "suite": suite.name,
         "first": suite.first,
-        "scenarios": suite.scenarios,
+        "scenarios": list(suite.scenarios),
+        "metrics": list(suite.metrics),
         "about": f"Suite {suite.name} on the plant {label}, control period {conditions.control_period * 1000:g} ms, "
         f"seed {conditions.seed}. {_valves(suite, drawn)}",
         "plant": label,

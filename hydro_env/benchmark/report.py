@@ -11,8 +11,8 @@ from importlib.resources import files
 from typing import Any
 
 from hydro_env import __version__
+from hydro_env.benchmark.cells import SCORE, SCORED
 from hydro_env.pages import fill
-from hydro_env.tasks import METRICS
 
 __all__ = ["privileged_information", "scores_page", "scores_table"]
 
@@ -31,11 +31,12 @@ def scores_table(scores: dict[str, Any]) -> str:
     """
     columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     cells = {(r["split"], r["scenario"], r["controller"], r["metric"]): r for r in scores["rows"]}
+    idle = {(f["split"], f["scenario"], f["controller"]) for f in scores["idle"]}
     failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
     done = [(r["split"], r["scenario"]) for r in scores["rows"]]
     blocks = list(dict.fromkeys(done + [(f["split"], f["scenario"]) for f in scores["failed"]]))
     extras = {**_extras(scores), **_never(scores)}
-    width = max([len(name) for name in scores["controllers"]] + [len("controller")])
+    width = max([len(name + IDLE) for name in scores["controllers"]])
     lines = []
     for split, scenario in blocks:
         counts = [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)]
@@ -55,28 +56,43 @@ def scores_table(scores: dict[str, Any]) -> str:
         columns_of = zip(heads, *texts.values(), strict=True)
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
-        for name in scores["controllers"]:
+        for name in sorted(scores["controllers"], key=lambda name: (split, scenario, name) in idle):
             ran = name in texts
             row = _row(texts[name], wide) if ran else f"  failed: {failed[split, scenario, name]}"
-            lines.append("  " + name.ljust(width) + row)
+            lines.append("  " + (name + IDLE * ((split, scenario, name) in idle)).ljust(width) + row)
+    lines += _overall(scores, width)
     return "\n".join(lines).lstrip("\n")
+
+
+def _overall(scores: dict[str, Any], width: int) -> list[str]:
+    """The score over the whole suite, the best first; who was idle anywhere comes last."""
+    idle = {each["controller"] for each in scores["idle"]}
+    rows = [row for row in scores["overall"] if row["metric"] == SCORE.name]
+    rows.sort(key=lambda row: (row["controller"] in idle, -row["iqm"]))
+    lines = ["\nthe whole suite: normalised score, its 95 % interval, and its worst 5 %"] if rows else []
+    for row in rows:
+        name = row["controller"] + IDLE * (row["controller"] in idle)
+        lines.append(f"  {name.ljust(width)}  {_cell(row)}  {row['cvar95']:.3g}")
+    return lines
 
 
 def _distinct(metrics: Iterable[str]) -> list[str]:
     """The metrics without those that are another one under a second name."""
-    return list({METRICS[name].of: name for name in reversed(list(metrics))}.values())[::-1]
+    return list(
+        {(SCORED[name].of, SCORED[name].more and name): name for name in reversed(list(metrics))}.values()
+    )[::-1]
 
 
-EXTRAS = ("better", "gap closed")
-"""Of the peak synchronisation error: the probability of improvement, and the share of the oracle's gap closed."""
+EXTRAS = ("better",)
+"""Of the peak synchronisation error: the probability of improvement."""
+IDLE = " (idle)"
+"""Beside the name of a controller that hardly moves the motors."""
 
 
 def _extras(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
-    shares = [("better", entry, entry["probability"]) for entry in scores.get("improvement", ())]
-    shares += [("gap closed", entry, entry["share"]) for entry in scores.get("gap_closed", ())]
     return {
-        (entry["split"], entry["scenario"], entry["controller"], what): f"{share:.0%}"
-        for what, entry, share in shares
+        (entry["split"], entry["scenario"], entry["controller"], EXTRAS[0]): f"{entry['probability']:.0%}"
+        for entry in scores["improvement"]
         if entry["metric"] == "max_speed_difference_rpm"
     }
 
@@ -104,6 +120,7 @@ def _short(metric: str) -> str:
         ("_speed_difference_", " diff_"),
         ("shaft_angle_difference_", "shaft angle_"),
         ("travel_per_s", "travel, 1/s"),
+        ("reversals_per_s", "reversals, 1/s"),
     ):
         metric = metric.replace(long, short)
     head, _, unit = metric.rpartition("_")
@@ -126,8 +143,14 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "limit_rpm", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
-    titles = {name: f"{each.title}, {each.unit}" for name, each in METRICS.items()}
-    metrics = {name: {"title": titles[name], "definition": each.definition} for name, each in METRICS.items()}
+    metrics = {
+        name: {
+            "title": ", ".join(filter(None, (each.title, each.unit))),
+            "definition": each.definition,
+            "more": each.more,
+        }
+        for name, each in SCORED.items()
+    }
     columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
     more = {

@@ -21,7 +21,7 @@ from hydro_env.controllers.registry import split_gains
 from hydro_env.errors import InputError
 from hydro_env.files import to_json, write_json
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
-from hydro_env.tasks import METRICS, SPLITS, VERSIONS
+from hydro_env.tasks import SPLITS, VERSIONS
 from hydro_env.validation import FileTable, checked, known
 
 __all__ = ["SCHEMA", "check", "read_declared", "read_result", "write_results"]
@@ -38,7 +38,7 @@ CLASSES = {
 }
 
 
-_SUITE = ("suite", "first", "splits", "scenarios", "seed", "control_period_s", "plant", "dtype")
+_SUITE = ("suite", "first", "splits", "scenarios", "metrics", "seed", "control_period_s", "plant", "dtype")
 
 
 class Declared(FileTable):
@@ -79,7 +79,10 @@ def write_results(
             "idle": sum(cell.idle for cell in own),
             "overall": {metric: summary.row for metric, summary in overall(own, ends).items()},
             "cases": [
-                {"split": cell.split, "scenario": cell.scenario, "faults": list(cell.faults), "metrics": _short(cell.metrics)}
+                {
+                    "split": cell.split, "scenario": cell.scenario, "faults": list(cell.faults),
+                    "metrics": _short(cell.metrics, scores["metrics"]),
+                }
                 for cell in own
             ],
         }  # fmt: skip
@@ -167,14 +170,9 @@ def _class(cell: Cell) -> str:
     return "servo valves" if cell.plant is not None else CLASSES.get(cell.needs, cell.needs)
 
 
-def _short(metrics: Mapping[str, Any]) -> dict[str, list[float]]:
+def _short(metrics: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[float]]:
     """Values of single precision with as few digits as tell them apart."""
-    names = {METRICS[name].of: name for name in reversed([*metrics])}.values()  # one of two names
-    return {
-        name: [float(np.format_float_scientific(np.float32(v), unique=True)) for v in metrics[name]]
-        for name in metrics
-        if name in names
-    }
+    return {name: [float(str(np.float32(value))) for value in metrics[name]] for name in names}
 
 
 def _origin(spec: Any) -> dict[str, str | None]:

@@ -11,6 +11,7 @@ figures are not in SciPy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "Summary", "bootstrap_interval", "cvar", "iqm", "normalised", "probability_of_improvement", "summarise",
+    "Summary", "bootstrap_interval", "cvar", "iqm", "mean_of", "normalised", "probability_of_improvement", "resampled",
+    "summarise",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -55,9 +57,21 @@ def cvar(values: ArrayLike, level: float = 0.95) -> float:
 
 
 def bootstrap_interval(
-    values: ArrayLike, *, strata: ArrayLike | None = None, confidence: float = 0.95, resamples: int = 2000, seed: int = 0
-) -> tuple[float, float]:  # fmt: skip
-    """Percentile bootstrap interval of the interquartile mean.
+    values: ArrayLike, *, strata: ArrayLike | None = None, seed: int = 0
+) -> tuple[float, float]:
+    """Percentile bootstrap interval, 95 %, of the interquartile mean; see `resampled`."""
+    return _interval(resampled(values, strata=strata, seed=seed))
+
+
+def _interval(means: Floats) -> tuple[float, float]:
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def resampled(
+    values: ArrayLike, *, strata: ArrayLike | None = None, resamples: int = 2000, seed: int = 0
+) -> Floats:
+    """Interquartile means (resamples,) of values that are drawn again.
 
     With `strata` (one label per value) every stratum is resampled by itself and keeps its size, so that a
     suite made of, say, six faults is not resampled into one without the worst of them. Deterministic for a
@@ -75,10 +89,8 @@ def bootstrap_interval(
     rank[order] = np.arange(sample.size)
     cut = sample.size // 4
     middle = np.sort(rank[drawn], axis=1, kind="stable")[:, cut : sample.size - cut]
-    means = np.mean(sample[order][middle], axis=1)
-    tail = (1.0 - confidence) / 2.0
-    low, high = np.quantile(means, [tail, 1.0 - tail])
-    return float(low), float(high)
+    means: Floats = np.mean(sample[order][middle], axis=1)
+    return means
 
 
 @lru_cache(maxsize=8)
@@ -122,7 +134,17 @@ def summarise(
     return Summary(iqm(sample), interval, sign * cvar(sign * sample), sample.size)
 
 
-def normalised(returns: ArrayLike, ends: tuple[float, float]) -> Floats:
-    """Returns on a scale that is 0 at the first of `ends` and 100 at the second."""
+def mean_of(parts: Sequence[Summary], samples: Sequence[tuple[ArrayLike, ArrayLike]]) -> Summary:
+    """The mean of parts of a suite, each with equal weight; `samples` are the values behind them and their strata."""
+    middle, worst = (float(np.mean([getattr(part, of) for part in parts])) for of in ("iqm", "cvar95"))
+    means = [resampled(values, strata=strata, seed=n) for n, (values, strata) in enumerate(samples)]
+    return Summary(middle, _interval(np.mean(means, axis=0)), worst, sum(part.n for part in parts))
+
+
+def normalised(summary: Summary, ends: tuple[float, float]) -> Summary:
+    """On a scale that is 0 at the first of `ends` and 100 at the second."""
     low, high = ends
-    return 100.0 * (np.asarray(returns, dtype=float) - low) / (high - low)
+    middle, *interval, worst = (
+        100.0 * (v - low) / (high - low) for v in (summary.iqm, *summary.ci95, summary.cvar95)
+    )
+    return Summary(middle, (interval[0], interval[1]), worst, summary.n)

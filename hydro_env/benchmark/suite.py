@@ -20,6 +20,9 @@ Split = Annotated[str, known("split", (*SPLITS, OWN))]
 Scenario = Annotated[str, known("scenario", SCENARIOS)]
 Metric = Annotated[str, known("metric", METRICS)]
 
+#: The metrics that a result is summed up by.
+SCORED_BY = ("return", "max_speed_difference_rpm", "tracking_mae_rpm")
+
 
 class Suite(FileTable):
     """`splits` maps a split to its number of cases, counted from `first` on; `scenarios` and `metrics` are names. With `protocol`
@@ -38,6 +41,9 @@ class Suite(FileTable):
             for name in names:
                 if names.count(name) > 1:
                     raise ValueError(f"{what} {shown(name)} is named more than once")
+        lacking = [name for name in SCORED_BY if self.protocol and name not in self.metrics]
+        if lacking:
+            raise ValueError(f"metrics: a protocol needs {', '.join(lacking)}")
         for split, cases in self.splits.items():
             listed = None if split == OWN else SPLITS[split].cases
             if listed is not None and self.first + cases > listed:

@@ -121,7 +121,7 @@ def benchmark(
         print(result.check(check, given, seed=seed, trust=trust, engine=engine, jobs=jobs))
         return
     if out is None:
-        raise InputError("benchmark: --out is missing: the folder to write to")
+        raise InputError("Missing option '--out': the folder to write to")
     with writing(out) as folder:
         rig, split = _rig(plant, mapping, split, trust)
         selection = command.Selection(suite, split, scenario, cases)

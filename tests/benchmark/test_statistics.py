@@ -9,9 +9,11 @@ from scipy import stats
 from hydro_env.benchmark.statistics import (
     bootstrap_interval,
     cvar,
-    gap_closed,
     iqm,
+    mean_of,
+    normalised,
     probability_of_improvement,
+    resampled,
     summarise,
 )
 
@@ -53,7 +55,7 @@ def test_interval_against_all_resamples():
     """Every one of the 4^4 equally likely resamples, counted out."""
     values = np.array([1.0, 3.0, 4.0, 9.0])
     exact = np.sort([np.mean(sorted(draw)[1:3]) for draw in product(values, repeat=4)])
-    low, high = bootstrap_interval(values, confidence=0.8, resamples=40_000)
+    low, high = np.quantile(resampled(values, resamples=40_000), [0.1, 0.9])
     assert low == pytest.approx(np.quantile(exact, 0.1), abs=0.26)
     assert high == pytest.approx(np.quantile(exact, 0.9), abs=0.26)
 
@@ -62,7 +64,7 @@ def test_interval_covers_and_shrinks():
     rng = np.random.default_rng(1)
     hits = 0
     for i in range(100):
-        low, high = bootstrap_interval(rng.normal(5.0, 1.0, 40), resamples=400, seed=i)
+        low, high = bootstrap_interval(rng.normal(5.0, 1.0, 40), seed=i)
         hits += low <= 5.0 <= high
     assert hits >= 85
     few, many = (np.diff(bootstrap_interval(rng.normal(size=n)))[0] for n in (20, 2000))
@@ -101,9 +103,24 @@ def test_summary():
     assert (summary.cvar95, summary.n) == (pytest.approx(98.0), 100)
 
 
-def test_share_of_the_gap_closed():
-    baseline, bound, ours = (summarise(np.linspace(m - 1.0, m + 1.0, 101)) for m in (60.0, 10.0, 20.0))
-    assert gap_closed(ours, baseline, bound) == pytest.approx(0.8)
-    assert gap_closed(baseline, baseline, bound) == 0.0
-    assert gap_closed(bound, baseline, bound) == 1.0
-    assert gap_closed(ours, baseline, baseline) is None
+def test_the_score_is_0_and_100_at_its_ends():
+    returns = np.linspace(-90.0, -50.0, 12)
+    ours = summarise(returns, more=True)
+    assert normalised(ours, (ours.iqm, 0.0)).iqm == 0.0
+    assert normalised(ours, (-200.0, ours.iqm)).iqm == 100.0
+    scored = normalised(ours, (-100.0, 0.0))
+    assert scored.iqm == pytest.approx(100.0 + ours.iqm) and scored.n == 12
+    assert scored.ci95 == pytest.approx([100.0 + end for end in ours.ci95])
+    assert scored.cvar95 == pytest.approx(10.0)  # the smallest return
+
+
+def test_parts_of_a_suite_have_equal_weight():
+    """However large their numbers of cases."""
+    rng = np.random.default_rng(0)
+    samples = [(rng.normal(1.0, 1.0, 400), ["a"] * 400), (rng.normal(3.0, 1.0, 40), ["a"] * 20 + ["b"] * 20)]
+    parts = [summarise(values, strata=strata) for values, strata in samples]
+    got = mean_of(parts, samples)
+    assert got.iqm == pytest.approx(np.mean([part.iqm for part in parts])) and got.n == 440
+    wide = [part.ci95[1] - part.ci95[0] for part in parts]
+    assert got.ci95[0] < got.iqm < got.ci95[1]
+    assert got.ci95[1] - got.ci95[0] == pytest.approx(np.hypot(*wide) / 2, rel=0.15)
