@@ -33,7 +33,10 @@ import yaml
 
 import hydro_env.benchmark
 import hydro_env.tasks
+from hydro_env.benchmark.cells import BASELINE, RETURN, SCORE
 from hydro_env.benchmark.report import NEEDS
+from hydro_env.benchmark.result import CLASSES, read_result
+from hydro_env.benchmark.statistics import iqm, probability_of_improvement
 from hydro_env.cli import app
 from hydro_env.cli.help import examples as examples_by_command
 from hydro_env.controllers import CONTROLLERS, make_controller
@@ -517,6 +520,7 @@ def _docstring(module: Any) -> str:
 
 # --- measured ---------------------------------------------------------------------------------------------------------
 PEAK, TRACKING, TRAVEL = "max_speed_difference_rpm", "tracking_mae_rpm", "command_travel_per_s"
+REVERSALS = "valve_reversals_per_s"
 SCORES = (
     ("test_interp", "setpoint_steps", "set-point steps"),
     ("test_interp", "load_step", "load step"),
@@ -696,6 +700,49 @@ def scores() -> str:
 
 def scores_short() -> str:
     return _scores(_scored("test_interp")[1], SHORT, SCORES[:2], (PEAK, TRACKING))
+
+
+def leaderboard() -> str:
+    """The result files of docs/leaderboard, the best first within a class; whoever is idle anywhere comes last."""
+    found = [read_result(path) for path in sorted((HERE / "leaderboard").glob("*.json"))]
+    for each in found:
+        for key in ("suite", "versions", "score_ends"):
+            if each[key] != found[0][key]:
+                raise SystemExit(f"{each['controller']}: {key} is not that of {found[0]['controller']}")
+    base = next((each for each in found if each["controller"] == BASELINE), None)
+    classes = list(dict.fromkeys(CLASSES.values()))
+    classes.insert(2, "servo valves")
+    found.sort(
+        key=lambda each: (each["idle"] > 0, classes.index(each["class"]), -each["overall"][SCORE.name]["iqm"])
+    )
+    rows = []
+    for each in found:
+        of = each["overall"]
+        score, (low, high) = of[SCORE.name]["iqm"], of[SCORE.name]["ci95"]
+        means = {
+            name: np.mean([iqm(case["metrics"][name]) for case in each["cases"]])
+            for name in (RETURN, TRAVEL, REVERSALS)
+        }
+        better = "" if base is None else f"{_better(each, base):.0%}"
+        rows.append(
+            [
+                f"`{each['controller']}`" + " (idle)" * (each["idle"] > 0), each["class"], f"{score:.1f} [{low:.1f}, {high:.1f}]",
+                f"{of[SCORE.name]['cvar95']:.0f}", better, f"{means[RETURN]:.0f}", f"{of[PEAK]['iqm']:.1f}",
+                f"{of[TRACKING]['iqm']:.1f}", f"{means[TRAVEL]:.2f}", f"{means[REVERSALS]:.1f}", f"{each['decision_us']:.0f}",
+            ]
+        )  # fmt: skip
+    head = [
+        "controller", "class", "score [95 %]", "worst 5 %", f"better return than `{BASELINE}`", "return", "peak, rpm",
+        "tracking, rpm", "travel, 1/s", "reversals, 1/s", "time per decision, µs",
+    ]  # fmt: skip
+    told = ", ".join(f"{name} {version}" for name, version in found[0]["versions"].items()) if found else ""
+    return f"Versions: {told}.\n\n{_table(head, rows)}"
+
+
+def _better(ours: dict[str, Any], theirs: dict[str, Any]) -> float:
+    """The share of cases with the greater return."""
+    costs = [[np.negative(case["metrics"][RETURN]) for case in each["cases"]] for each in (ours, theirs)]
+    return float(np.mean([probability_of_improvement(one, other) for one, other in zip(*costs, strict=True)]))
 
 
 def classical() -> str:
@@ -882,7 +929,7 @@ PARTS: dict[str, Callable[[], str]] = {
         observation, reward, episodes, threshold,
         diagnosis_stages,
         diagnosis_settings, commands, log_columns, units, scores, scores_short,
-        classical, agents, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
+        classical, leaderboard, agents, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
         diagnosis_results, licences,
     )
 }  # fmt: skip

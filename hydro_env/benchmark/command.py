@@ -46,12 +46,14 @@ SCHEMA = "hydro_env/scores/1"
 @dataclass(frozen=True)
 class Selection:
     """What is driven: a suite ("quick", "full", "paper" or a YAML file, see suite.yaml), narrowed or widened to these splits,
-    scenarios and cases per split. The split `own` is the plant's own pair of valves."""
+    scenarios and cases per split. The split `own` is the plant's own pair of valves. `declared`: a YAML file
+    that says how the controllers were trained, for their result files."""
 
     suite: str | Path = "full"
     splits: Sequence[str] | None = None
     scenarios: Sequence[str] | None = None
     cases: int | None = None
+    declared: str | Path | None = None
 
     def load(self, plant: Any) -> Suite:
         """The suite. A plant file that sets what the splits would draw is driven with its own pair of valves, unless the splits
@@ -65,7 +67,7 @@ class Selection:
 def run(
     out: str | Path | None, *, controllers: Sequence[Any] | None = None, selection: Selection | None = None,
     conditions: Conditions | None = None, engine: str = "local", jobs: int = 1, cells_folder: str | Path | None = None,
-    progress: bool = True, trust: bool = False, gains: str | Path | None = None, declared: str | Path | None = None,
+    progress: bool = True, trust: bool = False, gains: str | Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Scores controllers and writes `out/scores.json` and `out/scores.html`.
 
@@ -80,7 +82,6 @@ def run(
         progress: whether to show a progress bar.
         gains: folder of gains for the plant, if that is a file: controllers that ship with gains for the paper's plant are
             tuned for it first, those that are there already are taken. None: all are scored with the gains that ship.
-        declared: YAML file that says how the controllers were trained, for the result files of a suite with a protocol.
         trust: whether agents of Stable-Baselines3 (.zip) may be loaded, which runs code from the file.
 
     Returns what scores.json holds. InputError for a name that does not exist.
@@ -89,7 +90,7 @@ def run(
     chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
-    training = read_declared(declared)
+    training = read_declared(selection.declared) if selection else None
     specs = _specs(controllers or ["all"])
     specs += [name for name in (BASELINE, BOUND) if chosen.protocol and name not in specs]
     first: list[str] = []

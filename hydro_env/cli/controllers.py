@@ -12,6 +12,17 @@ from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
 PAIRS = Limits(1, 10_000, whole=True)
+# fmt: off
+Limit = Annotated[
+    float, number("Time limit of a controller for one split and scenario.", Limits(1e-3, 1e6, unit="s"))
+]
+Check = Annotated[Path | None, Option(
+    metavar="FILE.json", help="Drive a random tenth of this result file again: it must be the same bit for bit."
+)]
+Declare = Annotated[Path | None, Option(
+    metavar="FILE.yaml", help="How the agent was trained, for the result files of --suite paper."
+)]
+# fmt: on
 
 
 def tune(
@@ -89,20 +100,14 @@ def benchmark(
     mapping: Annotated[Path | None, Option(
         metavar="FILE.yaml", help="Which variables of an FMU (--plant FILE.fmu, with --trust) are meant."
     )] = None,
-    limit: Annotated[
-        float, number("Time limit of a controller for one split and scenario.", Limits(1e-3, 1e6, unit="s"))
-    ] = 600.0,
+    limit: Limit = 600.0,
     as_shipped: Annotated[bool, Option(
         "--as-shipped", help="On a plant file: score shipped gains, carried over by similarity, instead of tuning them for this "
         "plant first (once; kept in the folder gains of --cells, else of --out)."
     )] = False,
     out: Annotated[Path | None, Option(help="Folder to write to; created if needed. Needed but with --check.")] = None,
-    check: Annotated[Path | None, Option(
-        metavar="FILE.json", help="Drive a random tenth of this result file again: it must be the same bit for bit."
-    )] = None,
-    declare: Annotated[Path | None, Option(
-        metavar="FILE.yaml", help="How the agent was trained, for the result files of --suite paper."
-    )] = None,
+    check: Check = None,
+    declare: Declare = None,
     trust: Annotated[bool, Option(
         "--trust", help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs."
     )] = False,
@@ -124,11 +129,11 @@ def benchmark(
         raise InputError("Missing option '--out': the folder to write to")
     with writing(out) as folder:
         rig, split = _rig(plant, mapping, split, trust)
-        selection = command.Selection(suite, split, scenario, cases)
+        selection = command.Selection(suite, split, scenario, cases, declare)
         conditions = command.Conditions(rig, control_period, seed, limit)
         scores = command.run(
             folder, controllers=given, selection=selection, conditions=conditions, engine=engine, jobs=jobs, cells_folder=cells,
-            trust=trust, gains=None if as_shipped else (cells or out) / "gains", declared=declare,
+            trust=trust, gains=None if as_shipped else (cells or out) / "gains",
         )  # fmt: skip
         print(command.report(scores))
 

@@ -40,8 +40,8 @@ def out(tmp_path_factory):
     (folder / "still.py").write_text(STILL)
     (folder / "training.yaml").write_text("algorithm: PPO\nperiods: 1.0e+6\nseeds: [0, 1]\n")
     command.run(
-        folder, controllers=["gru", f"{folder / 'still.py'}:Still"], selection=Selection(folder / "suite.yaml"),
-        progress=False, declared=folder / "training.yaml",
+        folder, controllers=["gru", f"{folder / 'still.py'}:Still"], progress=False,
+        selection=Selection(folder / "suite.yaml", declared=folder / "training.yaml"),
     )  # fmt: skip
     return folder
 
