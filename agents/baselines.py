@@ -159,14 +159,7 @@ def main() -> None:
             ladder(arguments.out, arguments.pairs)
             return
         train_all(arguments)
-        kinds = {
-            name: (
-                "signals only, cloned" if agent.teacher else "signals only, learnt from the reward",
-                agent.title,
-            )
-            for name, agent in AGENTS.items()
-        }
-        report(arguments.out, kinds, arguments.pairs)
+        report(arguments.out, {name: agent.title for name, agent in AGENTS.items()}, arguments.pairs)
 
     run_command(run)
 

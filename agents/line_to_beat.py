@@ -27,13 +27,14 @@ SCENARIOS = ("random_steps", "setpoint_steps")
 PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
 #: Pairs that score for each pair that chose.
 SCORING = 4
+LEARNT, CLONED = "signals only, learnt from the reward", "signals only, cloned"
 #: Controllers that ship, by what they may know and how they came about.
 CLASSES = {
     "signals only, classical": (
         "pid_paper", "pid_tuned", "master_slave", "cross_coupled", "relative_coupling", "virtual_leader", "disturbance_observer",
     ),
-    "signals only, learnt from the reward": ("ppo", "sac"),
-    "signals only, cloned": (),
+    LEARNT: ("ppo", "sac"),
+    CLONED: (),
     "signals only, model-based law": ("adaptive_flow", "probing_flow"),
     "signals only, learnt from that law and the simulator's gradient": ("gru",),
     "valve bench": ("compensated", "bench_flow"),
@@ -91,19 +92,19 @@ def drive(drivers: Sequence[Any], pairs: range, scenarios: Sequence[str] = SCENA
     return scores
 
 
-def report(out: Path, agents: Mapping[str, tuple[str, str]], pairs: int) -> None:
+def report(out: Path, titles: Mapping[str, str], pairs: int) -> None:
     """Scores what was trained in OUT/STEPS/AGENT/seed_N by the pairs of `val` that follow the first `pairs`; writes tables,
-    picture and the points of the curves. `agents`: class and title, for readers."""
+    picture and the points of the curves. `titles`: of the agents, for readers."""
     seeds = range(pairs, pairs * (1 + SCORING))
     scores: dict[str, Scores] = {}
     classes: dict[str, list[str]] = {kind: list(names) for kind, names in CLASSES.items()}
     curves, rows = [], []
     for folder in sorted({path.parent.parent for path in out.glob("*/*/*/finished")}):
-        (kind, title), steps = agents[folder.name], int(folder.parent.name)
+        title, steps = titles[folder.name], int(folder.parent.name)
         drivers, points = zip(*(_run(path.parent) for path in sorted(folder.glob("*/finished"))), strict=True)
         curves += [{"algorithm": title, "seed": n, "points": each} for n, each in enumerate(points)]
         name = f"{title}, {steps:,} periods"
-        classes[kind].append(name)
+        classes[CLONED if title.startswith("clone") else LEARNT].append(name)
         scores[name] = drive(drivers, seeds, mismatch="val")
         minutes = (np.median([each[-1][key] for each in points]) / 60.0 for key in ("seconds", "cpu_seconds"))
         time = " / ".join(f"{each:.1f}" for each in minutes)
