@@ -1,8 +1,8 @@
 """Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out runs/ppo/curves.png`.
 
-Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than two decades are drawn
-over logarithms. Beside the picture a JSON file of the same name holds the points. A table of the scores after 10^5, 10^6 periods
-and so on is printed.
+Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than a factor of fifty are
+drawn over logarithms. Beside the picture a JSON file of the same name holds the points. A table of the scores after 10^5, 10^6
+periods and so on is printed.
 """
 
 from __future__ import annotations
@@ -94,10 +94,12 @@ def draw(
     for text, level in levels.items():
         axes[0, 0].axhline(abs(level), color="0.5", lw=1, ls="--")
         axes[0, 1].axhline(abs(level), color="0.5", lw=1, ls="--")
-        axes[0, 1].text(1.0, abs(level), f" {text}", transform=axes[0, 1].get_yaxis_transform(), va="center")
+        axes[0, 1].text(
+            1.0, abs(level), f" {text}", fontsize=7, transform=axes[0, 1].get_yaxis_transform(), va="center"
+        )
     axes[0, 0].legend(fontsize=8)
     steps = [point["steps"] for _, points in named for point in points]
-    if max(steps) > 100 * min(steps):
+    if max(steps) > 50 * min(steps):
         for axis in axes.flat:
             axis.set_xscale("log")
             axis.set_yscale("log")

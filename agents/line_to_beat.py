@@ -26,7 +26,7 @@ __all__ = ["LADDER", "PEAK", "RETURN", "SCENARIOS", "TRACKING", "ladder", "repor
 SCENARIOS = ("random_steps", "setpoint_steps")
 PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
 #: Pairs that score for each pair that chose.
-SCORING = 4
+SCORING = 2
 LEARNT, CLONED = "signals only, learnt from the reward", "signals only, cloned"
 #: Controllers that ship, by what they may know and how they came about.
 CLASSES = {
