@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.rollout import SIGNALS
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_bytes
@@ -93,7 +94,7 @@ def drive(controller: Any, cases: Sequence[int], condition: Condition) -> dict[s
     assert isinstance(env.plant, Plant)
     names = ("Kq", "dead_zone.overlap_positive", "dead_zone.overlap_negative")
     begin = {name: env.plant.get(name) for name in names}
-    signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
+    signals = {key: [np.array(info[key])] for key in SIGNALS}
     commands, bad = [], np.zeros(len(cases), bool)
     steps = round(DURATION / condition.period)
     for step in range(steps):
@@ -105,13 +106,8 @@ def drive(controller: Any, cases: Sequence[int], condition: Condition) -> dict[s
         commands.append(action)
         for key, rows in signals.items():
             rows.append(np.array(info[key]))
-    trace = Trace(
-        period=condition.period,
-        command=np.array(commands),
-        setpoint_rpm=np.array(signals["setpoint_rpm"]),
-        speed_rpm=np.array(signals["speed_rpm"]),
-        angle_difference_deg=np.array(signals["angle_difference_deg"]),
-    )
+    arrays: dict[str, Any] = {key: np.array(rows) for key, rows in signals.items()}
+    trace = Trace(period=condition.period, command=np.array(commands), **arrays)
     return {name: np.where(bad, np.inf, values) for name, values in compute(trace, METRICS).items()}
 
 

@@ -35,7 +35,7 @@ from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import PARAMETERS, Plant, PlantModel, load_model, preset_names
-from hydro_env.plant.plant import Lost
+from hydro_env.plant.plant import Lost, grid_points
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
 from hydro_env.validation import FileTable, Number, checked, known
@@ -55,7 +55,7 @@ _NEEDED = ("command", "speed")
 _RATED = ("channel_1.u_rated", "channel_2.u_rated")
 #: Rows of the memory: what a `Plant` shows the environment, and the rated commands.
 _ROWS = (
-    "speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure", "u_rated",
+    "speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure", "peak_difference", "u_rated",
 )  # fmt: skip
 
 
@@ -356,12 +356,16 @@ class FmuRigs:
     def hold_rigs(self, rigs: slice, command_V: Floats, load_Nm: Floats, period: float) -> None:
         """`hold` for a range of rigs."""
         for i in range(self.num_rigs)[rigs]:
-            try:
-                self._units[i].step(command_V[i], load_Nm[i], period)
-            except Exception as problem:
-                told = f"the FMU refuses a step at {self._units[i].time:g} s: {problem}"
-                raise InputError(f"{self.model.name}: {told}") from None
-            self._show(i, period)
+            points, largest = grid_points(period), 0.0
+            for _ in range(points):
+                try:
+                    self._units[i].step(command_V[i], load_Nm[i], period / points)
+                except Exception as problem:
+                    told = f"the FMU refuses a step at {self._units[i].time:g} s: {problem}"
+                    raise InputError(f"{self.model.name}: {told}") from None
+                self._show(i, period / points)
+                largest = max(largest, float(np.ptp(self._cells[self.row_of("speed"), :, i])))
+            self._cells[self.row_of("peak_difference"), :, i] = largest
 
     def turn(self, rows: int) -> None:
         """Nothing: delays are the FMU's."""

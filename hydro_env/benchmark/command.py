@@ -303,7 +303,7 @@ def _thinned(trace: Trace, case: int) -> dict[str, Any]:
     """
     total = len(trace.setpoint_rpm)
     every = max(1, total // TRACE_SAMPLES)
-    apart = trace.difference_rpm[:, case]
+    apart = np.copysign(trace.peak_difference_rpm[:, case], trace.difference_rpm[:, case])
     rows = [n + int(np.argmax(np.abs(apart[n : n + every]))) for n in range(0, total, every)]
     in_force = np.minimum(rows, len(trace.command) - 1)
     command = np.rint(100.0 * trace.command[in_force, case]).astype(int)

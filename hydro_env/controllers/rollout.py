@@ -20,7 +20,7 @@ from hydro_env.tasks.metrics import SETTLED_RPM
 __all__ = ["Episodes", "Step", "roll_out"]
 
 
-SIGNALS = "setpoint_rpm", "speed_rpm", "angle_difference_deg"
+SIGNALS = "setpoint_rpm", "speed_rpm", "angle_difference_deg", "peak_difference_rpm"
 """True signals of the environment's `info` that the metrics need."""
 
 

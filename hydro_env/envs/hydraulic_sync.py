@@ -76,10 +76,11 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Info
 
-    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2), `command_V`
-    (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`, `reward_variation`,
-    and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds 20 rpm (on the
-    paper's rig), and `cost_travel`, the mean change of the commands as a fraction of the rated one. Where the model has a
+    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2),
+    `peak_difference_rpm` (the largest absolute difference within the last control period, on a grid of 1 ms or finer),
+    `command_V` (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`,
+    `reward_variation`, and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds 20 rpm
+    (on the paper's rig), and `cost_travel`, the mean change of the commands as a fraction of the rated one. Where the model has a
     supply pressure (`rig`), `lowest_line_pressure_bar`, the least gauge pressure in the four lines at the end of the
     period: below -1 bar oil would cavitate, and the simulation is no longer that of a real rig. Without a supply pressure
     only the difference of both lines is known. After a reset `mismatch` (parameter: (2,) values, SI), `fault` (its name,

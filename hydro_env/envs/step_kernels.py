@@ -44,15 +44,24 @@ STATE = np.dtype(
 NEVER = np.iinfo(np.int64).max
 
 #: Signals of the plant's memory that `observe` reads, in the order of its argument `where`.
-SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure")
+SIGNALS = (
+    "speed",
+    "angle",
+    "measured_speed",
+    "current",
+    "pressure",
+    "diverged",
+    "mean_line_pressure",
+    "peak_difference",
+)
 
 #: Columns of the table of true signals that `observe` fills.
 COLUMNS: dict[str, slice | int] = {
     "speed_rpm": slice(0, 2), "setpoint_rpm": 2, "speed_difference_rpm": 3, "command_V": slice(4, 6),
     "angle_difference_deg": 6, "reward_tracking": 7, "reward_difference": 8, "reward_variation": 9,
-    "cost_difference": 10, "cost_travel": 11, "lowest_line_pressure_bar": 12,
+    "cost_difference": 10, "cost_travel": 11, "lowest_line_pressure_bar": 12, "peak_difference_rpm": 13,
 }  # fmt: skip
-TRUE = 13
+TRUE = 14
 _TO_RPM = 1.0 / RPM
 _TO_DEG = 1.0 / DEGREE
 _TO_BAR = 1.0 / BAR
@@ -157,6 +166,8 @@ def observe(rows, state, memory, where, sensing, observation, true, reward, term
         first = cells[where[6], lane] - 0.5 * abs(cells[where[4], lane])
         second = cells[where[6], lane + half] - 0.5 * abs(cells[where[4], lane + half])
         true[i, 12] = (first if first < second else second) * _TO_BAR
+        peak = cells[where[7], lane] * _TO_RPM
+        true[i, 13] = peak if peak > abs(one - two) and not lost else abs(one - two)
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
         terminated[i] = lost
         truncated[i] = row.step >= row.last

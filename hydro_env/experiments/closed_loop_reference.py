@@ -13,6 +13,7 @@ import numpy as np
 
 from hydro_env.envs.observation import LIMIT, SCALES, noise_levels
 from hydro_env.plant import PlantModel
+from hydro_env.plant.plant import grid_points
 from hydro_env.practice.reference import ReferenceRig
 from hydro_env.practice.reference.forms import Constants
 from hydro_env.tasks import Scenario, Trace, load_scenario
@@ -53,6 +54,7 @@ def drive(
     controller.reset(1, control_period)
     rows = len(profile.setpoint)
     speed, angle, command = np.empty((rows, 1, 2)), np.empty((rows, 1)), np.zeros((rows, 1, 2))
+    peak, points = np.zeros((rows, 1)), grid_points(control_period)
     now, last = rig.signals(), np.zeros(2)
     for n in range(rows):
         speed[n, 0] = now["speed"] / RPM
@@ -66,6 +68,7 @@ def drive(
         if not np.isfinite(action).all():
             raise ValueError(f"act returned a command that is not finite at {n * control_period:g} s")
         command[n, 0] = last = np.clip(action, -1.0, 1.0)
-        part = rig.advance(last * rated, profile.load[n], control_period, 1)
+        part = rig.advance(last * rated, profile.load[n], control_period, points)
+        peak[n + 1] = np.abs(np.diff(part["speed"], axis=-1)).max() / RPM
         now = {name: values[-1] for name, values in part.items()}
-    return Trace(control_period, profile.setpoint[:, None] / RPM, speed, angle, command[:-1])
+    return Trace(control_period, profile.setpoint[:, None] / RPM, speed, angle, command[:-1], peak)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -38,6 +38,14 @@ MAX_DELAY = 1e5
 
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
+
+#: Longest part of a period between two points of the grid on which its `peak_difference` is taken, s.
+GRID = 1e-3
+
+
+def grid_points(period: float) -> int:
+    """Into how many equal parts of `GRID` at most a period in s is divided."""
+    return max(1, ceil(period / GRID * (1.0 - 1e-9)))
 
 
 class Lost(NamedTuple):
@@ -312,7 +320,7 @@ class Plant:
 
     def hold(self, command_V: Array, load_Nm: Array, period: float) -> None:
         """`step` without its checks: finite float64 arrays (num_rigs, 2)."""
-        self._advance(command_V[None], load_Nm[None], period)
+        self._advance(command_V[None], load_Nm[None], period, points=grid_points(period))
 
     def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, period: float) -> None:
         """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. `make_room`
@@ -323,7 +331,7 @@ class Plant:
             self._flat[first * cells : last * cells], self._kernel.room(),
             self._ring[first:last] if self._kernel.has_delay else None, self._lasted[first:last], self._head,
             command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
-            self._empty[:, :, rigs],
+            self._empty[:, :, rigs], grid_points(period),
         )  # fmt: skip
 
     def turn(self, rows: int) -> None:
@@ -362,12 +370,13 @@ class Plant:
     def _advance(
         self, command_V: Array, load_Nm: Array, period: float,
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
+        points: int = 0,
     ) -> None:  # fmt: skip
         out = self._empty if out is None else out
         self.make_room(period)
         self._kernel.advance(
             self._flat, self._cells, self._ring if self._kernel.has_delay else None, self._lasted, self._head,
-            command_V, load_Nm, period, self.tolerance, rows, every, out,
+            command_V, load_Nm, period, self.tolerance, rows, every, out, points,
         )  # fmt: skip
         self.turn(command_V.shape[0])
 

@@ -438,3 +438,27 @@ os.wait()
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_process_steps_with_threads_of_its_own():
     subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=100)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("plant", ["paper_dead_zone", "rig", "delayed"])
+@pytest.mark.parametrize("period", [0.0042, 0.02])
+def test_the_peak_within_a_period_is_that_of_shorter_ones(plant, period, dtype):
+    """A run that stops at every point of the grid has other steps, and the same peak."""
+    model = load_model("paper_dead_zone" if plant == "delayed" else plant)
+    if plant == "delayed":
+        model = model.with_values({"command_delay.delay": (0.0035, 0.0125)})
+    env = make(9, plant=model, control_period=period, dtype=dtype, scenario="setpoint_steps")  # without load
+    env.reset(seed=2)
+    beyond = 0.0
+    for action in actions(9, 12):
+        fine = env.plant.copy()
+        info = env.step(action)[4]
+        peak, points = np.zeros(9), int(np.ceil(period / 1e-3))
+        for _ in range(points):
+            fine.step(info["command_V"], np.zeros(2), period / points)
+            peak = np.maximum(peak, np.abs(np.diff(fine.speed)[:, 0]) / RPM)
+        np.testing.assert_allclose(info["peak_difference_rpm"], peak, atol=0.15)
+        assert (info["peak_difference_rpm"] >= np.abs(info["speed_difference_rpm"])).all()
+        beyond = max(beyond, (info["peak_difference_rpm"] - np.abs(info["speed_difference_rpm"])).max())
+    assert beyond > 10.0  # what the end of a period does not show

@@ -16,6 +16,7 @@ import pytest
 from hydro_env.cli import main
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
 from hydro_env.errors import InputError
 from hydro_env.export.compiler import find_compiler
@@ -68,14 +69,34 @@ def renamed(unit: Path, to: Path, *own: bytes) -> Path:
 
 @pytest.mark.parametrize("preset", ["paper_dead_zone", "rig"])
 def test_driven_like_the_rig_that_it_is(units: list[Path], rig: Path, preset: str) -> None:
-    """The whole roll-out is the same bit for bit, of two cases at once, with loads."""
+    """The whole roll-out is the same bit for bit, of two cases at once, with loads, where the FMU ends no step of its own at a
+    point of the grid of the peak."""
+    drive = {"duration": 0.4, "setpoint_rpm": [[0.0, 300.0], [0.2, -200.0]], "load_Nm": [[0.1, 0.5, 0.1]]}
     traces = []
     for plant in (preset, load_fmu(rig if preset == "rig" else units[0], trust=True)):
         controller = make_controller("cross_coupled")
-        done = roll_out(controller, [4, 5], plant=plant, mismatch="own", scenario="load_step")
-        traces.append((done.trace.speed_rpm, done.trace.command, done.returns))
+        done = roll_out(controller, [4, 5], plant=plant, mismatch="own", scenario=drive, control_period=1e-3)
+        traces.append(
+            (done.trace.speed_rpm, done.trace.command, done.trace.peak_difference_rpm, done.returns)
+        )
     for ours, theirs in zip(*traces, strict=True):
         assert np.array_equal(ours, theirs)
+
+
+def test_the_peak_between_the_ends_of_periods(units: list[Path]) -> None:
+    envs = [
+        HydraulicSyncVectorEnv(1, plant, "setpoint_steps", None, noise=0.0)
+        for plant in ("paper_dead_zone", load_fmu(units[0], trust=True))
+    ]
+    for env in envs:
+        env.reset(seed=0)
+    beyond = []
+    for n in range(30):
+        command = np.full((1, 2), 0.5 * np.cos(0.5 * n))
+        ours, theirs = (env.step(command)[4] for env in envs)
+        assert theirs["peak_difference_rpm"] == pytest.approx(ours["peak_difference_rpm"], abs=0.2)
+        beyond.append(ours["peak_difference_rpm"] - np.abs(ours["speed_difference_rpm"]))
+    assert np.max(beyond) > 1.0
 
 
 def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp_path: Path) -> None:
@@ -86,8 +107,8 @@ def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp
     speeds = [0.0]
     for each in (plain, rigs):
         each.reset()
-        for _ in range(50):
-            each.hold(np.array([[30.0, 40.0]]), np.array([[0.2, 0.1]]), 0.01)
+        for _ in range(500):
+            each.hold(np.array([[30.0, 40.0]]), np.array([[0.2, 0.1]]), 1e-3)
             speeds.append(each.get("speed")[0, 1])
     rpm = 2.0 * np.pi / 60.0
     assert rigs.get("speed")[0, 0] == pytest.approx(-rpm * plain.get("speed")[0, 0], rel=1e-12)
@@ -96,7 +117,7 @@ def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp
         0.9 < rigs.get("speed")[0, 1] / plain.get("speed")[0, 1] < 0.98
     )  # a smaller gain on channel 2: 0.3 against 0.315
     assert rigs.get("angle")[0, 1] == pytest.approx(
-        np.trapezoid([0.0, *speeds[51:]], dx=0.01)
+        np.trapezoid([0.0, *speeds[501:]], dx=1e-3)
     )  # no angle is mapped
 
 

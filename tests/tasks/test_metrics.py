@@ -7,7 +7,7 @@ from hydro_env.errors import InputError
 from hydro_env.tasks.metrics import METRICS, Trace, compute, never_settled
 
 
-def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None):
+def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None, peak=None):
     """One rig; speeds is a list of (motor 1, motor 2)."""
     speed = np.array(speeds, dtype=float)[:, None, :]
     rows = speed.shape[0]
@@ -17,6 +17,9 @@ def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None):
         speed_rpm=speed,
         angle_difference_deg=np.zeros((rows, 1)) if angle is None else np.array(angle, dtype=float)[:, None],
         command=np.zeros((rows, 1, 2)) if command is None else np.array(command, dtype=float)[:, None, :],
+        peak_difference_rpm=np.abs(np.diff(speed))[..., 0]
+        if peak is None
+        else np.array(peak, dtype=float)[:, None],
     )
 
 
@@ -26,6 +29,11 @@ def test_differences_and_tracking():
     assert scores["rms_speed_difference_rpm"] == pytest.approx(np.sqrt((16 + 144) / 4))
     assert scores["shaft_angle_difference_deg"] == pytest.approx(8)
     assert scores["tracking_mae_rpm"] == pytest.approx((3 + 1 + 10 + 2) / 8)
+
+
+def test_the_peak_is_that_between_the_rows():
+    scores = compute(trace([(100, 100), (103, 99), (100, 100)], peak=[0.0, 4.0, 7.0]))
+    assert scores["max_speed_difference_rpm"] == 7.0
 
 
 def test_command_travel_counts_the_first_move():
@@ -85,7 +93,7 @@ def test_rigs_are_scored_apart():
         0.5,
         *(
             np.concatenate([getattr(one, key), getattr(two, key)], axis=1)
-            for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg", "command")
+            for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg", "command", "peak_difference_rpm")
         ),
     )
     for name, metric in METRICS.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
@@ -23,11 +24,14 @@ SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "res
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
 #: (`delay`, `coupled`: -1 without), addresses.
 NUMBERS = (
-    "half", "moving", "kept", "command", "load", "applied", "todo", "row_left", "fresh", "delay", "coupled", *SWEEPS,
+    "half", "moving", "kept", "command", "load", "applied", "todo", "row_left", "fresh", "delay", "coupled", "speed",
+    "speed_rate", "peak_difference", *SWEEPS,
 )  # fmt: skip
 
-HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED = range(11)
-PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, RESET_DIVERGED = range(11, 17)
+HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED, SPEED, SPEED_RATE, PEAK = (
+    range(14)
+)
+PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, RESET_DIVERGED = range(14, 20)
 #: Attempts at steps for a row of commands, at most, and for each second that it lasts.
 MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S = 20_000, 2_000_000.0
 
@@ -106,8 +110,72 @@ def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def
 
 
 @_nogil
+def interpolate(at, cells, period, room):  # type: ignore[no-untyped-def]
+    """Speeds at the points of a grid over the row that the last steps have passed, by the cubic through the speeds and rates at
+    both ends of each step (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6).
+
+    room: grid (points + 1, lanes), speeds, and a row for lanes that pass no point; was (3, lanes), what was left of the row, s,
+    speeds and rates where the steps began; left (lanes,), what is left, s; passed (lanes,), how many points a lane has passed;
+    place, values (lanes,).
+    """
+    grid, was, left, passed, place, values = room
+    lanes, last = left.size, grid.shape[0] - 2
+    part, speed, rate = period / (last + 1), at[SPEED] * lanes, at[SPEED_RATE] * lanes
+    crossing = 0
+    for lane in range(lanes):
+        crossing += (last - passed[lane]) * part >= left[lane]
+    while crossing > 0:
+        crossing = 0
+        for lane in range(lanes):
+            due, length = (last - passed[lane]) * part, was[0, lane] - left[lane]
+            s, rise = (was[0, lane] - due) / length, cells[speed + lane] - was[1, lane]
+            bend, back = length * was[2, lane] - rise, length * cells[rate + lane] - rise
+            values[lane] = was[1, lane] + s * (rise + (1.0 - s) * ((1.0 - s) * bend - s * back))
+            crosses = due >= left[lane]
+            place[lane] = passed[lane] if crosses else last + 1
+            passed[lane] += crosses
+            crossing += crosses & (due - part >= left[lane])
+        for lane in range(lanes):
+            grid[place[lane], lane] = values[lane]
+
+
+@_nogil
+def follow(at, cells, ring, lasted, b, slot, period, peak, room):  # type: ignore[no-untyped-def]
+    """Steps to the end of a row. Each lane goes at its own pace and waits for the others there.
+
+    ring, lasted and slot as for `advance`, of block b; peak (rigs of a block,): raised to the largest speed difference at the
+    points of the grid, rad/s; room: as for `interpolate`, with a grid of one row where there are none.
+    """
+    grid, was, left, passed = room[0], room[1], room[2], room[3]
+    delayed, lanes = ring is not None and at[DELAY] >= 0, left.size
+    points = grid.shape[0] - 1
+    passed[:] = 0
+    for _ in range(MAX_ATTEMPTS + int(MAX_ATTEMPTS_PER_S * period)):
+        if points > 0:
+            copy(was, 0, cells, at[TODO] * lanes, lanes)
+            copy(was, lanes, cells, at[SPEED] * lanes, lanes)
+            copy(was, 2 * lanes, cells, at[SPEED_RATE] * lanes, lanes)
+        going = sweep(at[ATTEMPT_STEP], cells, period)
+        if points > 0:
+            copy(left, 0, cells, at[TODO] * lanes, lanes)
+            for lane in range(lanes if delayed else 0):
+                was[0, lane] += cells[at[ROW_LEFT] * lanes + lane]
+                left[lane] += cells[at[ROW_LEFT] * lanes + lane]
+            interpolate(at, cells, period, room)
+        if ring is not None and delayed and delay(at, cells, ring[b], lasted[b], slot, period):
+            going = lanes
+            sweep(at[EVALUATE], cells, period)
+        if going == 0:
+            break
+    for n in range(points):
+        for rig in range(peak.size):
+            apart = abs(grid[n, rig] - grid[n, rig + peak.size])
+            peak[rig] = apart if apart > peak[rig] else peak[rig]
+
+
+@_nogil
 def advance(  # type: ignore[no-untyped-def]
-    at, memory, cells, ring, lasted, head, commands, loads, period, tolerance, record, every, out
+    at, memory, cells, ring, lasted, head, commands, loads, period, tolerance, record, every, out, points
 ):
     """Runs every block through all rows of `commands`, which are held for `period` s each.
 
@@ -115,17 +183,22 @@ def advance(  # type: ignore[no-untyped-def]
     slots, lanes), lasted (blocks, slots) and head: the delay line, how long its rows lasted, s, and the slot of the last one;
     ring is None where there is none, so that nothing of it is compiled. commands, loads (T, rigs or 1, 2): one row for all rigs
     where the middle is 1; tolerance: of the speed, rad/s; record: rows of the memory that go to out (len(record), T // every,
-    rigs, 2) at the instant of each row, before its command acts.
+    rigs, 2) at the instant of each row, before its command acts. The largest speed difference at `points` equal parts of each
+    row goes to `peak_difference`, rad/s; none where it is 0.
     """
     half, rigs = at[HALF], out.shape[2]
     lanes, kept = 2 * half, 2 * half * at[KEPT]
     delayed = ring is not None and at[DELAY] >= 0
-    most = MAX_ATTEMPTS + int(MAX_ATTEMPTS_PER_S * period)
+    was, left, values = np.empty((3, lanes), cells.dtype), np.empty(lanes, cells.dtype), np.empty(lanes)
+    passed, place = np.empty(lanes, np.int32), np.empty(lanes, np.int32)
+    room = np.empty((points + 1, lanes)), was, left, passed, place, values
+    peak = np.empty(half)
     for b in range(memory.size // kept):
         start, low = b * kept, b * half
         high = low + half if low + half < rigs else rigs
         slot = head
         copy(cells, 0, memory, start, kept)
+        peak[:] = 0.0
         sweep(at[PRECOMPUTE], cells, tolerance)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
@@ -155,14 +228,9 @@ def advance(  # type: ignore[no-untyped-def]
                 delay(at, cells, ring[b], lasted[b], slot, period)
             if fresh > 0 or delayed:
                 sweep(at[EVALUATE], cells, period)
-            # Each lane goes at its own pace and waits for the others at the next row.
-            for _ in range(most):
-                going = sweep(at[ATTEMPT_STEP], cells, period)
-                if ring is not None and delayed and delay(at, cells, ring[b], lasted[b], slot, period):
-                    going = lanes
-                    sweep(at[EVALUATE], cells, period)
-                if going == 0:
-                    break
+            follow(at, cells, ring, lasted, b, slot, period, peak, room)
             sweep(at[RESET_DIVERGED], cells, period)
+        for lane in range(half if points > 0 else 0):
+            cells[at[PEAK] * lanes + lane] = cells[at[PEAK] * lanes + half + lane] = peak[lane]
         sweep(at[OBSERVE], cells, period)
         copy(memory, start, cells, 0, at[MOVING] * lanes)

@@ -29,7 +29,7 @@ RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 STEP = ("todo", "error", "fresh", "lost")
 _OUTPUTS = (
     "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "diverged", "lost_at",
-    "command", "load",
+    "peak_difference", "command", "load",
 )  # fmt: skip
 
 
