@@ -78,7 +78,13 @@ def draw(
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(
-        len(scores), 2, figsize=(10, 4 + len(scores)), sharey="row", sharex="col", squeeze=False
+        len(scores),
+        2,
+        figsize=(10, 4 + len(scores)),
+        sharey="row",
+        sharex="col",
+        squeeze=False,
+        layout="constrained",
     )
     named = [(name, points) for curve in curves for name, points in _parts(curve).items()]
     names = list(dict.fromkeys(name for name, _ in named))
@@ -97,7 +103,7 @@ def draw(
         axes[0, 1].text(
             1.0, abs(level), f" {text}", fontsize=7, transform=axes[0, 1].get_yaxis_transform(), va="center"
         )
-    axes[0, 0].legend(fontsize=8)
+    figure.legend(fontsize=8, ncols=3, loc="outside lower center")
     steps = [point["steps"] for _, points in named for point in points]
     if max(steps) > 50 * min(steps):
         for axis in axes.flat:
@@ -108,7 +114,6 @@ def draw(
     axes[-1, 0].set_xlabel("million control periods")
     axes[-1, 1].set_xlabel(CLOCKS[clock])
     figure.suptitle(title, fontsize=10)
-    figure.tight_layout()
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=80)
     plt.close(figure)
