@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from .envs import OBSERVATION, HydraulicSyncEnv
 from .envs.batch import OPTIONS
 from .envs.observation import ERRORS, LIMIT
-from .errors import InputWarning, shown, suggestion, to_install
+from .errors import InputError, InputWarning, shown, suggestion, to_install
 
 try:
     from pettingzoo import ParallelEnv
@@ -60,8 +60,8 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
     Both agents end together. `reset` takes the options of the single environment; others are ignored with a warning, as
     PettingZoo asks for.
 
-    Arguments: `others`, and those of `HydraulicSyncEnv` by keyword. Raises what that raises; ValueError if the actions are not
-    one for each agent.
+    Arguments: `others`, and those of `HydraulicSyncEnv` by keyword, without `observation`. Raises what that raises; ValueError if
+    the actions are not one for each agent.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's way)
@@ -71,6 +71,8 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
     }
 
     def __init__(self, *, others: bool = True, **kwargs: Any) -> None:
+        if kwargs.get("observation") is not None:
+            raise InputError("observation: agents share the frames; leave it out")
         self.rig = HydraulicSyncEnv(**kwargs)
         self.render_mode = self.rig.render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.rig.metadata["render_fps"]}

@@ -36,7 +36,8 @@ class HydraulicSyncVecEnv(VecEnv):
     `infos[i]["TimeLimit.truncated"]` tells whether the scenario was simply over.
 
     `info`: "end" fills the dictionaries of the rows that ended only (the usual need of training, and fast), "all" fills
-    them all with the true values. `batch` is the environment underneath: `get_attr` and `env_method` look there.
+    them all with the true values; "privileged" is in all of them. `batch` is the environment underneath: `get_attr` and
+    `env_method` look there.
     """
 
     def __init__(self, num_envs: int, *, info: str = "end", **kwargs: Any) -> None:
@@ -67,7 +68,7 @@ class HydraulicSyncVecEnv(VecEnv):
             observation[rows] = seen[rows]
             for row in rows:
                 infos[row] = _row(info, row)
-        self.batch.forget_options()
+        self.batch.use_options()
         self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
@@ -86,6 +87,8 @@ class HydraulicSyncVecEnv(VecEnv):
         ended = terminated | truncated
         if self.info == "all":
             infos = [_row(info, row) for row in range(self.num_envs)]
+        elif self.batch.privileged is not None:
+            infos = [{"privileged": row} for row in info["privileged"]]
         else:
             infos = [{} for _ in range(self.num_envs)]
         if ended.any():

@@ -25,9 +25,10 @@ Floats = NDArray[np.float64]
 
 
 class Component(IntEnum):
-    """What draws from a stream of its own in each episode; `CASE` is a pair of valves in a fixed list, whatever the seed."""
+    """What draws from a stream of its own in each episode; `CASE` is a pair of valves in a fixed list, whatever the seed, `LEVEL`
+    the size of the noise."""
 
-    PAIR, NOISE, SCENARIO, ACTIONS, CASE = range(5)
+    PAIR, NOISE, SCENARIO, ACTIONS, CASE, LEVEL = range(6)
 
 
 class Streams:

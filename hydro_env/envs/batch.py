@@ -26,8 +26,10 @@ from ..tasks.scenarios import Reference, Scenario, load_scenario
 from ..units import RPM
 from .env_spec import OwnSpec
 from .history import History
-from .observation import ERRORS, FRAME, LIMIT, noise_levels, scales_on, with_errors
+from .observation import ERRORS, FRAME, LIMIT, Noise, noise_levels, scales_on, with_errors
+from .own_functions import OwnObservation, OwnReward, Signals, checked_rows
 from .plants import PlantLike, PlantSource, make_plant
+from .privileged import Privileged
 from .profiles import encode
 from .randomisation import Episodes, Randomisation
 from .render import Recorder
@@ -42,7 +44,7 @@ Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 #: Keys of the `options` of `reset`.
-OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
+OPTIONS = ("mismatch", "scenario", "noise", "case", "reset_mask")
 #: Why an episode is terminated by a plant that does not say more.
 DIVERGED = "diverged: the simulation of the plant is no longer finite"
 
@@ -73,7 +75,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
       "SameStep" (the end's observation is in `info["final_obs"]`) or "Disabled" (reset with
       `options={"reset_mask": mask}`).
     * `options` of `reset` hold for all rows that it resets, until they are reset again: an autoreset goes on with them, with the
-      same case. `case=k` means case k + i for row i, a list one for each.
+      same case. `case=k` means case k + i for row i, a list one for each. `use_options(options)` gives them to the
+      episodes that begin until the next `reset`, and resets no row itself.
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
     * `plant` may be a `Plant`: its model, with its tolerance.
@@ -90,11 +93,11 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self, num_envs: int = 1, plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
         mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto", control_period: float = 0.01,
-        render_mode: str | None = None, *, history: int = 1, noise: float | Mapping[str, float] = 1.0,
-        reward: Mapping[str, float] | Reward | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, max_episode_steps: int | None = None,
-        dtype: str = "float64", render_width: int = 640, increment: float | None = None, errors: bool = False,
-        threads: int = 1, tolerance_rpm: float | None = None,
+        render_mode: str | None = None, *, history: int = 1, noise: Noise = 1.0,
+        reward: Mapping[str, float] | Reward | OwnReward | None = None, observation: OwnObservation | None = None,
+        privileged: bool = False, autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None, dtype: str = "float64", render_width: int = 640,
+        increment: float | None = None, errors: bool = False, threads: int = 1, tolerance_rpm: float | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
@@ -104,6 +107,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.max_episode_steps = _optional(EPISODE, max_episode_steps, "max_episode_steps")
         self.threads = THREADS.check(threads, "threads")
         _one_of("errors", errors, (False, True))
+        _one_of("privileged", privileged, (False, True))
+        if not (observation is None or callable(observation)):
+            raise InputError(f"observation is {shown(observation)}, expected None or a function")
         _one_of("dtype", dtype, ("float64", "float32"))
         _one_of("render_mode", render_mode, (None, "rgb_array"))
         _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
@@ -115,18 +121,24 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         auto = isinstance(mismatch, str) and mismatch == "auto"
         self.mismatch = load_mismatch(default_mismatch(plant) if auto else mismatch)
         self.render_mode = render_mode
-        self.reward = load_reward(reward)
+        self._own_reward, self._own_observation = reward if callable(reward) else None, observation
+        self.reward = Reward() if callable(reward) else load_reward(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         # First of what takes room, so that a batch that cannot fit is refused in its words.
         made = self._make_plant(() if self.mismatch is None else self.mismatch.effects)
         width = FRAME * self.history
         self._check_memory(6.0 * 4 * width * self.num_envs, f"observations with a history of {self.history}")
-        self._make_spaces()
-        deviation = noise_levels(noise, self.scales)
+        self._noise = self._levels(noise)
         sensing = np.concatenate([scales_on(self.scales), self.reward.weights(self.scales.speed)])
-        self._rollout = Rollout(made, self.control_period, width, deviation, sensing, self.threads)
+        self._rollout = Rollout(made, self.control_period, width, sensing, self.threads)
         self._randomisation = Randomisation(self.num_envs, self.model)
         self._history = History(self.num_envs, self.history)
+        known = (self._rollout, self._randomisation, self.mismatch, self._noise, self.scales)
+        #: What `info["privileged"]` holds; None where nobody asked for it.
+        self.privileged = Privileged(*known) if privileged else None
+        self._true = self._rollout.outputs()[1]
+        self._name_columns()
+        self._make_spaces()
         self._ended, self._begun = np.zeros(self.num_envs, np.bool_), False
         self._shared: Scenario | None = None
         #: Options of the last `reset` of each row, by number; 0 stands for none.
@@ -143,12 +155,19 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         }
         width = (FRAME + ERRORS * self.errors) * self.history
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
+        if self._own_observation is not None:
+            width = self.seen(self._history.frames, self._true, finite=False).shape[1]
+            self.single_observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def _make_plant(self, effects: tuple[str, ...]) -> PlantLike:
         return make_plant(self.model, self.num_envs, effects, self._tolerance, self.dtype)
+
+    def _levels(self, noise: Noise) -> Floats:
+        """The levels (2, 6) between which the noise is drawn. InputError as `noise_levels`."""
+        return np.stack([noise_levels(noise, self.scales, end) for end in (0, 1)])
 
     def _check_memory(self, need: float, what: str) -> None:
         """InputError where this machine has less memory than that many bytes."""
@@ -166,30 +185,57 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
         Without a seed each row goes on to the next episode of its seed. InputError for unknown options.
         """
+        read = self._read(options)
+        mask = self._mask(read.pop("reset_mask", None))
+        rows = np.flatnonzero(mask)
+        self._begin(rows, seed, **read)
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=int(seed))
+        self._hold(rows, read)
+        result = self._rollout.outputs()
+        self._sense(rows, result)
+        self._ended = self._ended & ~mask
+        # These show what they showed last.
+        result[0][~mask], result[1][~mask] = self._history.frames[~mask], self._true[~mask]
+        self._true = result[1]
+        return self.seen(result[0], self._true), self._reset_info({}, mask, self._true)
+
+    def use_options(self, options: Mapping[str, Any] | None = None) -> None:
+        """Gives the episodes after the present ones, until the next `reset`, these options of it; none without any.
+
+        InputError as for `reset`, and for a mismatch with effects that the plant lacks: `reset` brings them in.
+        """
+        read = self._read(options)
+        if "reset_mask" in read:
+            raise InputError("use_options: reset_mask is for reset alone; options hold for all rows")
+        if lacking := self._lacking(read.get("mismatch")):
+            raise InputError(
+                f"use_options: the plant lacks {', '.join(lacking)} so far: reset all rows with it once"
+            )
+        self._hold(np.arange(self.num_envs), read)
+
+    def _read(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
+        """Options of `reset` as they are used. InputError for what is none."""
         if not isinstance(options, Mapping | None):
             raise InputError(
                 f"reset: options is {shown(options)}, expected a mapping of {', '.join(OPTIONS)}"
             )
-        options = dict(options or {})
-        for key in options:
+        read = dict(options or {})
+        for key in read:
             if key not in OPTIONS:
                 raise InputError(f"reset: unknown option {shown(key)}: {suggestion(key, OPTIONS)}")
-        if "scenario" in options:
-            options["scenario"] = load_scenario(options["scenario"], self.scales)
-        if "mismatch" in options:
-            options["mismatch"] = load_mismatch(options["mismatch"])
-        mask = self._mask(options.pop("reset_mask", None))
-        rows = np.flatnonzero(mask)
-        self._begin(rows, seed, **options)
-        if isinstance(seed, int | np.integer):
-            super().reset(seed=int(seed))
+        if "scenario" in read:
+            read["scenario"] = load_scenario(read["scenario"], self.scales)
+        if "mismatch" in read:
+            read["mismatch"] = load_mismatch(read["mismatch"])
+        if "noise" in read:
+            read["noise"] = self._levels(read["noise"])
+        return read
+
+    def _hold(self, rows: Rows, options: dict[str, Any]) -> None:
+        """Notes the options with which the next episodes of these rows begin."""
         self._held[rows] = number = max(self._options) + 1 if options else 0
         self._options = {n: self._options.get(n, options) for n in {0, number, *self._held.tolist()}}
-        result = self._rollout.outputs()
-        self._sense(rows, result)
-        self._ended = self._ended & ~mask
-        result[0][~mask] = self._history.frames[~mask]  # these show what they showed last
-        return self.seen(result[0]), self._reset_info({}, mask, result[1])
 
     def _mask(self, given: Any) -> Mask:
         """The rows (N,) that a reset is for; InputError if there are none."""
@@ -224,15 +270,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._ended = ended = terminated | truncated
         if mode is AutoresetMode.SAME_STEP and ended.any():
             final = np.full(self.num_envs, None, object)
+            last = self.seen(observation, true)
             for row in np.flatnonzero(ended):
-                final[row] = self.seen(observation[row]).copy()
+                final[row] = last[row].copy()
             final_info = self._step_info(true.copy(), terminated, ended, ended)
             self._restart(ended, result)
             info = self._step_info(true, np.zeros_like(ended), everyone, ~ended)
             info |= {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
             self._reset_info(info, ended, true)
             self._ended = np.zeros_like(ended)
-        return self.seen(observation), reward, terminated, truncated, info
+        self._true = true
+        return self.seen(observation, true), reward, terminated, truncated, info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each row's recent past, if `render_mode` is "rgb_array"."""
@@ -278,7 +326,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return self._rollout.profiles.decoded(int(state["profile"]), int(state["last"]) + 1)
 
     def advance(self, actions: ArrayLike) -> Result:
-        """One control period for all rows, without autoreset, info and `errors`. ValueError as for `step`."""
+        """One control period for all rows, without autoreset, info and what `seen` does. ValueError as for `step`."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("reset every row of the environment before the first step")
         wanted = _real(actions)
@@ -288,15 +336,26 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             wanted = self._rollout.state["fraction"] + self.increment * np.clip(wanted, -1.0, 1.0)
         result = self._rollout.step(wanted)
         self._remember(self._rollout.rows, result)
+        if self._own_reward is not None:
+            signals = {**self._signals(result[1], terms=True), "reward": result[2].copy()}
+            result[2][:] = checked_rows("reward", self._own_reward(signals), (self.num_envs,))
         return result
 
-    def forget_options(self) -> None:
-        """The episodes after the present ones go on without the options of the last `reset`."""
-        self._held[:] = 0
+    def seen(self, frames: NDArray[np.float32], true: Floats, finite: bool = True) -> NDArray[np.float32]:
+        """What leaves the environment of its frames (N, n) and true signals (N, TRUE). InputError for what a function of the
+        user's must not return."""
+        shown = with_errors(frames) if self.errors else frames
+        if self._own_observation is None:
+            return shown
+        own = self._own_observation(shown, self._signals(true))
+        return checked_rows("observation", own, (self.num_envs, None), finite).astype(np.float32)
 
-    def seen(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What leaves the environment of its frames."""
-        return with_errors(observation) if self.errors else observation
+    def _signals(self, true: Floats, terms: bool = False) -> Signals:
+        """What functions of the user's are told of the rows; the terms of the reward where there has been a step."""
+        table = true.view()
+        table.flags.writeable = False
+        told = {k: table[:, c] for k, c in self.columns.items() if terms or not k.startswith("reward")}
+        return told if self.privileged is None else {**told, "privileged": self.privileged.now()}
 
     def reasons(self, terminated: Mask) -> NDArray[np.object_]:
         """Why these rows were terminated, None for the others."""
@@ -315,13 +374,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         mismatch: Mismatch | None = options.get("mismatch", self.mismatch)
         steps = self._steps(scenario)
         episodes = self._randomisation.next(rows, mismatch, seed, options.get("case"))
-        lacking = set() if mismatch is None else {*mismatch.effects} - {*self.plant.effects}
+        lacking = self._lacking(mismatch)
         if lacking and rows.size < self.num_envs:
             raise InputError(
                 "reset: this mismatch has effects the plant lacks so far: reset all rows with it"
             )
         if lacking:
-            self._rollout.take(self._make_plant((*self.plant.effects, *sorted(lacking))))
+            self._rollout.take(self._make_plant((*self.plant.effects, *lacking)))
         # Up to here something could be wrong with the options, and nothing has been changed; from here on not.
         self.plant.set_values(self._randomisation.draw(episodes, mismatch), rows)
         state = self._rollout.state
@@ -329,14 +388,24 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         state["last"][rows] = steps
         state["rated"][rows] = self.plant.get("u_rated")[rows]
         self._randomisation.start(state, episodes, self.control_period)
+        self._rollout.deviation[rows] = self._randomisation.noise(episodes, options.get("noise", self._noise))
         self._set_profiles(episodes, scenario)
         self.plant.reset(None if rows.size == self.num_envs else rows)
         self._begun = bool((self._randomisation.episode >= 0).all())
+        self._name_columns()
+        if self.privileged is not None:
+            self.privileged.draw()
+        if self._recorder is not None:
+            self._recorder.clear(rows)
+
+    def _lacking(self, mismatch: Mismatch | None) -> list[str]:
+        """Effects of a mismatch that the plant does not have so far."""
+        return [] if mismatch is None else sorted({*mismatch.effects} - {*self.plant.effects})
+
+    def _name_columns(self) -> None:
         lines = self.plant.get("mean_line_pressure").any()
         #: `COLUMNS` that this plant has.
         self.columns = {key: column for key, column in COLUMNS.items() if key != _OF_LINES or lines}
-        if self._recorder is not None:
-            self._recorder.clear(rows)
 
     def _set_profiles(self, episodes: Episodes, scenario: Scenario) -> None:
         """Gives the rows their set-points and loads; where nothing is random all rows share one profile."""
@@ -383,6 +452,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         for key, column in self.columns.items():
             info[key] = true[:, column]
             info["_" + key] = stepped if key.startswith("reward") else given
+        if self.privileged is not None:
+            info["privileged"], info["_privileged"] = self.privileged.now(), given
         if terminated.any():
             info["termination"] = self.reasons(terminated)
             info["_termination"] = terminated.copy()
@@ -393,6 +464,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         for key, column in self.columns.items():
             if key not in info and not key.startswith("reward"):
                 info[key], info["_" + key] = true[:, column], mask
+        if self.privileged is not None and "privileged" not in info:
+            info["privileged"], info["_privileged"] = self.privileged.now(), mask
         pairs: dict[str, Any] = {}
         for name, values in self.pairs.items():
             pairs[name], pairs["_" + name] = values, mask

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import Enum
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,8 @@ __all__ = ["OwnSpec", "env_spec"]
 
 #: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
-    "render_mode", "render_width", "history", "increment", "errors", "dtype", "num_envs", "vectorization_mode",
-    "autoreset_mode",
+    "render_mode", "render_width", "history", "increment", "errors", "observation", "privileged", "dtype", "threads", "num_envs",
+    "vectorization_mode", "autoreset_mode",
 }  # fmt: skip
 
 
@@ -36,22 +38,27 @@ class OwnSpec:
         return None if env is None else vars(env).get("_spec")
 
     def __set__(self, env: Any, spec: EnvSpec | None) -> None:
-        vars(env)["_spec"] = env_spec(spec, getattr(env, "batch", env).episode_steps)
+        vars(env)["_spec"] = None if spec is None else env_spec(spec, env)
 
 
-def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
+def env_spec(spec: EnvSpec, env: Any) -> EnvSpec:
     """The specification that Gymnasium gives to a new environment, with the length of its episodes in steps; without a
     reward threshold where the arguments make it another task. What is made from it, or from its JSON, is the same environment. An
-    argument that no name or file could stand for is left as it is: a scenario with a function of its own, a mismatch in code."""
-    if spec is None:
-        return None
-    registered = registry[spec.id].kwargs if spec.id in registry else {}
-    changed = {key for key, own in spec.kwargs.items() if key not in registered or registered[key] != own}
-    threshold = None if changed - SAME_TASK else spec.reward_threshold
-    kwargs = {name: _plain(value) for name, value in spec.kwargs.items()}
+    argument that no name or file could stand for is left as it is: a function, a scenario with one, a mismatch in code. The
+    environment is made again from the specification then, but not from JSON, which Gymnasium refuses with a TypeError."""
+    batch = getattr(env, "batch", env)
+    # Gymnasium hands the length back to a batch as an argument: it stands beside the arguments.
+    kwargs = {name: _plain(value) for name, value in spec.kwargs.items() if name != "max_episode_steps"}
+    registered = {name: each.default for name, each in signature(type(env)).parameters.items()}
+    registered |= registry[spec.id].kwargs if spec.id in registry else {}
+    changed = {key for key, own in kwargs.items() if registered.get(key) != own} - SAME_TASK
+    if kwargs.get("mismatch") == "train":  # what `auto` is for the default plant
+        changed.discard("mismatch")
+    shorter = batch.episode_steps < batch.scenario.steps(batch.control_period)
+    threshold = None if changed or shorter else spec.reward_threshold
     if isinstance(spec.kwargs.get("plant"), PlantModel | Plant) and kwargs.get("mismatch", "auto") == "auto":
         kwargs["mismatch"] = default_mismatch(spec.kwargs["plant"])  # that of its content may be another one
-    return replace(spec, max_episode_steps=steps, reward_threshold=threshold, kwargs=kwargs)
+    return replace(spec, max_episode_steps=batch.episode_steps, reward_threshold=threshold, kwargs=kwargs)
 
 
 def _plain(value: Any) -> Any:
@@ -66,7 +73,9 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, list):
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     named = {**SCENARIOS, **SPLITS, **NAMED_PAIRS}
     return next((name for name, known in named.items() if known is value), value)

@@ -17,6 +17,8 @@ from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
 from .batch import HydraulicSyncVectorEnv
 from .env_spec import OwnSpec
+from .observation import Noise
+from .own_functions import OwnObservation, OwnReward
 from .plants import PlantLike
 from .randomisation import SEED
 from .render import PICTURES, Window
@@ -100,16 +102,21 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `render_mode`: None, "rgb_array" (pictures) or "human" (a window in real time); extra `render`.
     * `render_width`: of the picture in pixels, default 640; its height is three quarters of that.
     * `history`: frames in an observation, default 1.
-    * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
-    * `reward`: weights to be changed, such as {"variation": 0.5}.
+    * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}. In place of a number a range,
+      [lowest, highest], from which each episode draws, for each kind of sensor by itself.
+    * `reward`: weights to be changed, such as {"variation": 0.5}, or a function of the true signals of `info` (arrays with one
+      row per rig), with "reward" for the default one, that returns (N,).
+    * `observation`: None, or a function of the frames (N, n) and the true signals that returns (N, k); it is called once with
+      zeros to learn k. It goes row by row, as `reward` does: row i then is still the single environment.
+    * `privileged`: whether `info["privileged"]` tells what no sensor shows, see `hydro_env.envs.privileged_names`.
     * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
     * `errors`: whether each frame's errors to the set-point and speed difference, magnified, stand in front of the frames; see
       `hydro_env.envs.observation.with_errors`.
     * `tolerance_rpm`: None, or the error of a speed by which the simulation chooses its steps, in place of the model's (0.1 rpm
       unless its file says otherwise). A larger one is faster; see `hydro_env.plant.Plant`.
 
-    `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
-    a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
+    `reset(options=...)` takes, for that episode, `mismatch`, `scenario`, `noise` and `case` (number of the case of a split
+    with a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
 
     ## Seeds
 
@@ -117,10 +124,12 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     scenario have a random stream of their own for each seed and episode. In a split with a fixed list of n cases the
     first episode of seed s meets case s modulo n, whatever else is chosen.
 
-    ## Version history
+    ## Versions
 
-    * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2, errors=True`.
-    * `HydraulicSyncIncrement-v1`: in addition `reward={"tracking": 0.08, "difference": 0.18, "variation": 0.002}`, since
+    * `HydraulicSync-v0`: first version. A number means the same as long as `hydro_env.tasks.VERSIONS` (of physics, splits and
+      reward) does; where one of these is raised, all ids go up.
+    * `HydraulicSyncIncrement-v0`: the same with `increment=0.3, history=2, errors=True`.
+    * `HydraulicSyncTraining-v0`: in addition `reward={"tracking": 0.08, "difference": 0.18, "variation": 0.002}`, since
       critics are slow to learn returns of a hundred.
     """
 
@@ -131,17 +140,19 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
         mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto", control_period: float = 0.01,
-        render_mode: str | None = None, *, history: int = 1, noise: float | Mapping[str, float] = 1.0,
-        reward: Mapping[str, float] | Reward | None = None, render_width: int = 640, increment: float | None = None,
-        errors: bool = False, tolerance_rpm: float | None = None,
+        render_mode: str | None = None, *, history: int = 1, noise: Noise = 1.0,
+        reward: Mapping[str, float] | Reward | OwnReward | None = None, observation: OwnObservation | None = None,
+        privileged: bool = False, render_width: int = 640, increment: float | None = None, errors: bool = False,
+        tolerance_rpm: float | None = None,
     ) -> None:  # fmt: skip
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
         self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
             1, plant, scenario, mismatch, control_period, "rgb_array" if render_mode == "human" else render_mode,
-            history=history, noise=noise, reward=reward, autoreset_mode=AutoresetMode.DISABLED,
-            render_width=render_width, increment=increment, errors=errors, tolerance_rpm=tolerance_rpm,
+            history=history, noise=noise, reward=reward, observation=observation, privileged=privileged,
+            autoreset_mode=AutoresetMode.DISABLED, render_width=render_width, increment=increment, errors=errors,
+            tolerance_rpm=tolerance_rpm,
         )  # fmt: skip
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
@@ -186,11 +197,13 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             key: row[column] if isinstance(column, slice) else values[column]
             for key, column in self.batch.columns.items()
         }
+        if self.batch.privileged is not None:
+            info["privileged"] = self.batch.privileged.now()[0]
         ended = bool(terminated[0])
         if ended:
             info["termination"] = self.batch.reasons(terminated)[0]
         self._show()
-        return self.batch.seen(observation)[0], float(reward[0]), ended, bool(truncated[0]), info
+        return self.batch.seen(observation, true)[0], float(reward[0]), ended, bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"; "human" shows it by itself."""

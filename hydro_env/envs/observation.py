@@ -7,7 +7,7 @@ to be normalised, and no statistics saved, outside. On the paper's rig the scale
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +21,13 @@ from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
 __all__ = [
-    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels", "scales_on", "with_errors",
+    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "Noise", "decode", "noise_levels", "scales_on", "with_errors",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
+Level = float | Sequence[float]
+#: The argument `noise`: a factor or levels, each a number or [lowest, highest].
+Noise = Level | Mapping[str, Level]
 
 #: Signals of a frame, in order.
 OBSERVATION = (
@@ -110,11 +113,11 @@ def with_errors(observation: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     return np.concatenate([errors, array], axis=-1)
 
 
-def noise_levels(noise: float | Mapping[str, float], rig: Scales = PAPER) -> Floats:
+def noise_levels(noise: Noise, rig: Scales = PAPER, end: int = 0) -> Floats:
     """Standard deviations (6,) of speeds, currents and pressures, scaled like the observation on a rig of this size.
 
     `noise` is a factor on what sensors of such a rig have (0 for none), `NOISE` on the paper's, or gives single levels in its
-    units. InputError for anything else.
+    units; of a range [lowest, highest] that `end` counts. InputError for anything else.
     """
     sizes = {"speed_rpm": rig.speed, "current_A": rig.current, "pressure_bar": rig.pressure}
     levels = {key: sizes[key] * value for key, value in NOISE.items()}
@@ -122,9 +125,19 @@ def noise_levels(noise: float | Mapping[str, float], rig: Scales = PAPER) -> Flo
         for key, value in noise.items():
             if key not in levels:
                 raise InputError(f"noise: unknown key {shown(key)}: {suggestion(key, levels)}")
-            levels[key] = LEVEL.check(value, f"noise: {key}")
+            levels[key] = _level(value, f"noise: {key}", end)
     else:
-        factor = LEVEL.check(noise, "noise")
+        factor = _level(noise, "noise", end)
         levels = {key: factor * value for key, value in levels.items()}
     speed, current, pressure = levels["speed_rpm"] * RPM, levels["current_A"], levels["pressure_bar"] * BAR
     return np.array([speed, speed, current, current, pressure, pressure]) / scales_on(rig)[1:7]
+
+
+def _level(value: Any, name: str, end: int) -> float:
+    """A level, or an end of a range of them."""
+    if not (isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim)):
+        return float(LEVEL.check(value, name))
+    ends = [LEVEL.check(each, name) for each in value]
+    if len(ends) != 2 or ends[0] > ends[1]:
+        raise InputError(f"{name} is {shown(value)}, expected a number or [lowest, highest]")
+    return float(ends[end])

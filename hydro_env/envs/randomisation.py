@@ -104,10 +104,21 @@ class Randomisation:
         first = np.maximum(1, np.ceil(np.where(stuck < inf, stuck, 0.0) / period - 1e-9))
         state["stuck_from"][rows] = np.where(stuck < inf, first.astype(np.int64), NEVER)
 
+    def noise(self, episodes: Episodes, levels: Floats) -> Floats:
+        """Levels of the noise, (6,) or (n, 6), between two, (2, 6); speeds, currents and pressures have a share each."""
+        low, high = levels
+        if (low == high).all():
+            return low
+        share = episodes.streams(Component.LEVEL).random(3).repeat(2, axis=1)
+        return np.asarray(low + share * (high - low))
+
+    def value(self, name: str, plant: Any) -> Floats:
+        """Values (N, 2) of a parameter in which the valves may differ, as they now are."""
+        return np.asarray(self._sensor[name].copy() if name in self._sensor else plant.get(name))
+
     def pairs(self, plant: Any) -> dict[str, Floats]:
-        """Values (N, 2) of the parameters in which the valves may differ, as they now are."""
-        names = self._own or self.model.values
-        return {n: self._sensor[n].copy() if n in self._sensor else plant.get(n) for n in names}
+        """The values of all of these."""
+        return {name: self.value(name, plant) for name in self._own or self.model.values}
 
 
 def _cases(

@@ -51,7 +51,7 @@ def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
     if isinstance(source, Reward):
         return source
     if not isinstance(source, Mapping):
-        raise InputError(f"reward: expected a mapping of weights, found {shown(source)}")
+        raise InputError(f"reward: expected a mapping of weights or a function, found {shown(source)}")
     known, weights = [each.name for each in fields(Reward)], asdict(Reward())
     for key, value in source.items():
         if key not in known:

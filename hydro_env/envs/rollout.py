@@ -26,15 +26,13 @@ Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[n
 class Rollout:
     """The rigs of a batch with the `STATE` of their episodes.
 
-    `deviation` (6,) is that of the sensors' noise, scaled like the observation, of `width` numbers; `sensing` (14,) as for
+    `deviation` (N, 6) is that of the sensors' noise, scaled like the observation, of `width` numbers; `sensing` (14,) as for
     `observe`.
     """
 
-    def __init__(
-        self, plant: PlantLike, period: float, width: int, deviation: Floats, sensing: Floats, threads: int
-    ) -> None:
+    def __init__(self, plant: PlantLike, period: float, width: int, sensing: Floats, threads: int) -> None:
         self.period, self.width, self.threads = period, width, threads
-        self.deviation, self.sensing = deviation, sensing
+        self.deviation, self.sensing = np.zeros((plant.num_rigs, 6)), sensing
         self.rows = np.arange(plant.num_rigs)
         self.state: NDArray[Any] = np.zeros(plant.num_rigs, STATE)
         self.profiles = Profiles(plant.num_rigs)

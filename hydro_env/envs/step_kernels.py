@@ -96,7 +96,7 @@ def apply(actions, state, command, load):
 def take_inputs(rows, state, starts, levels, deviation):
     """What comes from outside to some rows at their present step: set-points and loads from `Profiles`, and the sensors' noise.
 
-    Once an episode is over, its last set-point and loads stay. deviation (6,): of the noise, scaled like the observation.
+    Once an episode is over, its last set-point and loads stay. deviation (N, 6): of the noise, scaled like the observation.
     """
     noisy = deviation.any()
     for i in rows:
@@ -116,7 +116,7 @@ def take_inputs(rows, state, starts, levels, deviation):
         if noisy:
             words = block(row.noise_key, row.noise_counter, row.step + 1)
             for j in range(6):
-                row.noise[j] = deviation[j] * normal(words, j)
+                row.noise[j] = deviation[i, j] * normal(words, j)
 
 
 @_threaded

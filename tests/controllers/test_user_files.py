@@ -181,7 +181,7 @@ def test_an_agent_of_stable_baselines3_drives_if_it_is_trusted(folder: Path, kin
 
 def test_an_agent_of_the_increments_is_not_taken_for_one_of_commands(folder: Path) -> None:
     library = pytest.importorskip("stable_baselines3")
-    env = gymnasium.make("hydro_env:HydraulicSyncIncrement-v1")
+    env = gymnasium.make("hydro_env:HydraulicSyncTraining-v0")
     library.PPO("MlpPolicy", env, seed=0, device="cpu").save(folder / "agent")
     with pytest.raises(InputError, match=r"agent\.zip:increment=0\.3 for an agent of HydraulicSyncIncrement"):
         make_controller("agent.zip", trust=True)

@@ -41,6 +41,17 @@ def same(one, two):
         np.testing.assert_array_equal(one, two)
 
 
+def own_observation(frames, true):
+    return np.column_stack([frames[:, :3], true["speed_difference_rpm"] / 100.0, true["privileged"]])
+
+
+def own_reward(true):
+    return true["reward"] - 0.01 * np.abs(true["angle_difference_deg"]) * (true["cost_travel"] > 0.0)
+
+
+OWN = {"observation": own_observation, "reward": own_reward, "privileged": True, "noise": [0.5, 2.0]}
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize(
     "more",
@@ -49,8 +60,9 @@ def same(one, two):
         {"scenario": SHORT, "mismatch": "test_extrap", "history": 2},
         {"scenario": SHORT, "mismatch": "faulted", "control_period": 0.005},
         {"scenario": "random_steps", "mismatch": "train"},
+        {"scenario": SHORT, "history": 2, "errors": True, **OWN},
     ],
-    ids=["train", "extrap", "faulted", "random"],
+    ids=["train", "extrap", "faulted", "random", "own"],
 )
 def test_rows_are_the_single_environment(mode, more):
     """Bit for bit, into the following episodes, against Gymnasium's own batch of single environments."""

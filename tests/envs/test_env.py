@@ -423,8 +423,8 @@ def test_videos_are_recorded(tmp_path):
     [
         ({}, 600, -150.0),
         ({"history": 3}, 600, -150.0),
-        ({"id": "HydraulicSyncIncrement-v1"}, 600, -22.0),
-        ({"id": "HydraulicSyncIncrement-v1", "reward": {"tracking": 0.5}}, 600, None),
+        ({"id": "HydraulicSyncTraining-v0"}, 600, -22.0),
+        ({"id": "HydraulicSyncTraining-v0", "reward": {"tracking": 0.5}}, 600, None),
         ({"scenario": "staircase"}, 800, None),
         ({"control_period": 0.005, "mismatch": "own"}, 1200, None),
     ],

@@ -5,10 +5,12 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from gymnasium.spaces import Box, Dict
+from gymnasium.wrappers import TransformObservation
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
-from hydro_env.envs import HydraulicSyncEnv
+from hydro_env.envs import HydraulicSyncEnv, privileged_names
 from hydro_env.errors import InputError
 from hydro_env.sb3 import HydraulicSyncVecEnv
 
@@ -46,6 +48,29 @@ def test_infos_of_the_end_only():
         assert [bool(info) for info in infos] == ended.tolist()
     assert infos[1]["TimeLimit.truncated"] and infos[1]["terminal_observation"].shape == (9,)
     assert "Kq" in env.reset_infos[1]["mismatch"]
+
+
+def test_every_step_tells_a_critic_what_it_asks_for():
+    ours = HydraulicSyncVecEnv(2, privileged=True, noise=[0.5, 2.0], **MORE)
+    single = HydraulicSyncEnv(privileged=True, noise=[0.5, 2.0], **MORE)
+    ours.seed(3), ours.reset()
+    _, told = single.reset(seed=4)
+    np.testing.assert_array_equal(ours.reset_infos[1]["privileged"], told["privileged"])
+    for _ in range(10):
+        infos = ours.step(np.full((2, 2), 0.4))[3]
+        *_, told = single.step(np.full(2, 0.4))
+        np.testing.assert_array_equal(infos[1]["privileged"], told["privileged"])
+    assert privileged_names(ours) == privileged_names(single)
+
+
+def test_its_policy_for_several_inputs_takes_them_apart():
+    def both(frames, true):
+        return np.hstack([frames, true["privileged"]])
+
+    env = HydraulicSyncEnv(observation=both, privileged=True, **MORE)
+    parts = Dict(actor=Box(-10, 10, (9,)), critic=Box(-10, 10, (env.observation_space.shape[0] - 9,)))
+    env = TransformObservation(env, lambda seen: {"actor": seen[:9], "critic": seen[9:]}, parts)
+    PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, device="cpu").learn(32)
 
 
 def test_divergence_is_no_time_limit():

@@ -18,6 +18,7 @@ from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
+from hydro_env.envs.privileged import privileged_names
 from hydro_env.errors import InputError
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.fmu.build import export_fmu
@@ -85,9 +86,12 @@ def test_driven_like_the_rig_that_it_is(units: list[Path], rig: Path, preset: st
 
 def test_the_peak_between_the_ends_of_periods(units: list[Path]) -> None:
     envs = [
-        HydraulicSyncVectorEnv(1, plant, "setpoint_steps", None, noise=0.0)
+        HydraulicSyncVectorEnv(1, plant, "setpoint_steps", None, noise=0.0, privileged=True)
         for plant in ("paper_dead_zone", load_fmu(units[0], trust=True))
     ]
+    names = [privileged_names(env) for env in envs]
+    assert {*names[0]} - {*names[1]} == {"spool_1", "spool_2"}
+    shown = [names[0].index(name) for name in names[1]]
     for env in envs:
         env.reset(seed=0)
     beyond = []
@@ -95,6 +99,7 @@ def test_the_peak_between_the_ends_of_periods(units: list[Path]) -> None:
         command = np.full((1, 2), 0.5 * np.cos(0.5 * n))
         ours, theirs = (env.step(command)[4] for env in envs)
         assert theirs["peak_difference_rpm"] == pytest.approx(ours["peak_difference_rpm"], abs=0.2)
+        np.testing.assert_allclose(theirs["privileged"], ours["privileged"][:, shown], atol=1e-3)
         beyond.append(ours["peak_difference_rpm"] - np.abs(ours["speed_difference_rpm"]))
     assert np.max(beyond) > 1.0
 

@@ -55,7 +55,8 @@ def test_an_extra_is_installed_from_the_sources(page: Path) -> None:
 
 
 def test_the_environments_page_names_every_argument() -> None:
-    text = (DOCS / "reference" / "environment.md").read_text(encoding="utf-8")
+    pages = (DOCS / name for name in ("reference/environment.md", "howto/your_own_task.md"))
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
     arguments = [*inspect.signature(HydraulicSyncVectorEnv.__init__).parameters][1:]
     for name in (*arguments, *OPTIONS, "final_obs", "base", "meant_for"):
         assert re.search(rf"\b{name}\b", text), name
@@ -183,6 +184,7 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
         "howto/describe_your_rig.md",
         "howto/score_a_controller.md",
         "howto/train_an_agent.md",
+        "howto/your_own_task.md",
         "reference/environment.md",
     ],
 )
