@@ -1,266 +1,139 @@
-"""Learning curves of Stable-Baselines3 at its default settings and with the recipes, and the line to beat:
-`python -m agents.baselines --algo ppo sac --steps 150000 20000 --recipes ppo sac --seeds 5 --out runs/baselines`.
+"""Learning curves of the usual algorithms on equal terms, and the line to beat (`agents.line_to_beat`):
+`python -m agents.baselines --agents ppo sac tqc --steps 1000000 --seeds 5 --out runs/baselines`.
 
-`--algo`: every seed is one rig, the plain observation, the environment's reward and the algorithm's own defaults: nothing is
-tuned. `--recipes`: the training files of those names. OUT receives a sweep of `agents.sweep` for each of them, and
-`baselines.json`, `.md` and `.png`: mean return, peak synchronisation error and tracking error over control periods, beside those
-of classical controllers on the same episodes. The same command again goes on with what is not finished.
+`AGENTS` says what there is: algorithms of Stable-Baselines3 at their default settings and with those of a recipe, both on the
+recipe's rigs, observations and reward; PPO in one file; clones of controllers. OUT/STEPS/AGENT/seed_N receives for every seed
+`curve.json`, scores on pairs of `val` over control periods, wall and processor time, and the agent with the best mean return.
+OUT receives `baselines.md`, `.png` and `.json` of all that was trained there so far, scored on pairs that chose nothing, and
+`line_to_beat.md`: the best controller of each class on the same episodes. The same command again goes on with the seeds that are
+not finished; without `--agents` nothing is trained.
 
-`--rung` trains on another rung of the ladder of tasks, from easy to hard. `--lines` measures the classical controllers on every
-rung, without training, and writes the table of the documents, `ladder.md`.
+`--lines` measures the classical controllers on every rung of a ladder of tasks and writes `ladder.md`.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
-import sys
-from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import yaml
-from numpy.typing import NDArray
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 
+from agents import ppo_single
+from agents.cloning import clone
+from agents.line_to_beat import ladder, report
+from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
+from hydro_env.controllers.learned.sb3_policy import Sb3Policy
 from hydro_env.errors import run_command
-from hydro_env.files import write_bytes, write_json
-from hydro_env.limits import CORES, Limits
-from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
-from hydro_env.training.recipes import RECIPES, recipe
+from hydro_env.limits import Limits
+from hydro_env.training.config import read_config, with_changes
+from hydro_env.training.recipes import recipe
+from hydro_env.training.train import make_model
 
-__all__ = ["LADDER", "lines", "main", "training_file"]
+__all__ = ["AGENTS", "main", "train"]
 
-SCHEMA = "hydro_env/baselines/1"
-ALGORITHMS = ("ppo", "sac")
 
-#: Arguments of the environment for tasks from easy to hard, and what each adds.
-LADDER: dict[str, tuple[str, dict[str, Any]]] = {
-    "equal": (
-        "two equal valves without dead zone",
-        {"plant": "paper", "mismatch": {"Kq": 476106e-6, "Fc": 0.1, "Fs": 0.2, "vs": 0.007}},
+@dataclass(frozen=True)
+class Agent:
+    """What is trained: an algorithm of a library on the rigs, observations and reward of a recipe, `tuned` with its settings as
+    well and not the library's own; or the clone of a `teacher`; otherwise `agents.ppo_single`."""
+
+    title: str
+    algorithm: str = ""
+    recipe: str = ""
+    tuned: bool = False
+    teacher: str = ""
+
+
+AGENTS = {
+    "ppo": Agent("PPO, default settings", "stable_baselines3.PPO", "ppo_short"),
+    "sac": Agent("SAC, default settings", "stable_baselines3.SAC", "sac"),
+    "ppo_recipe": Agent("PPO, recipe", "stable_baselines3.PPO", "ppo_short", tuned=True),
+    "ppo_single": Agent("PPO in one file, the recipe's settings"),
+    "sac_recipe": Agent("SAC, recipe", "stable_baselines3.SAC", "sac", tuned=True),
+    "tqc": Agent("TQC, settings of the SAC recipe", "sb3_contrib.TQC", "sac", tuned=True),
+    "recurrent_ppo": Agent(
+        "RecurrentPPO, the PPO recipe and an LSTM of 64", "sb3_contrib.RecurrentPPO", "ppo_short", tuned=True
     ),
-    "pair": ("the paper's two valves, one with a dead zone, always the same", {"mismatch": "own"}),
-    "train": ("another pair of valves in every episode: the default", {}),
-    "test_extrap": ("valves beyond the training ranges", {"mismatch": "test_extrap"}),
-    "rig": ("a realistic machine: 24 V coils, supply droop, friction of the motors", {"plant": "rig"}),
+    "clone_cross_coupled": Agent("clone of `cross_coupled`", teacher="cross_coupled"),
+    "clone_probing_flow": Agent("clone of `probing_flow`", teacher="probing_flow"),
 }
-#: Controllers that the lines show; `probing_flow` has settings of its own on `rig`.
-CONTROLLERS = ("pid_paper", "pid_tuned", "cross_coupled", "probing_flow")
-SCENARIOS = ("random_steps", "setpoint_steps")
-PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
-TITLES = {
-    RETURN: "mean return",
-    PEAK: "peak synchronisation error, rpm",
-    TRACKING: "mean absolute tracking error, rpm",
-}
-#: Control periods between two points of a curve at default settings, and between checkpoints.
-EVALUATE_EVERY, CHECKPOINT_EVERY = {"ppo": 10_000, "sac": 4_000}, 50_000
+#: Pairs of `val` by which an agent is chosen; the next ones score it.
+CHOOSING, POINTS = 100, 10
 
 
-class Still:
-    """Zero commands: what the other returns are to be compared with."""
+class InTraining(Sb3Policy):
+    """A model of Stable-Baselines3 that is being trained, as a controller."""
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        """Has nothing to forget."""
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Zero commands (n, 2)."""
-        return np.zeros((len(observation), 2))
+    def __init__(self, model: BaseAlgorithm, interface: FramesInterface) -> None:
+        self.name, self.interface, self._model = "in training", interface, model
 
 
-def training_file(algorithm: str, rung: str, steps: int, pairs: int) -> str:
-    """The text of a training file that changes nothing of the algorithm's default settings."""
-    table = {
-        "HydraulicSync-v0": {"n_envs": 1, "n_timesteps": steps, "env_kwargs": LADDER[rung][1]},
-        "training": {
-            "algorithm": algorithm,
-            "evaluate_every": EVALUATE_EVERY[algorithm],
-            "checkpoint_every": CHECKPOINT_EVERY,
-            "evaluate_scenarios": list(SCENARIOS),
-            "evaluate_pairs": pairs,
-        },
-    }
-    return yaml.safe_dump(table, sort_keys=False)
+class Scores(BaseCallback):
+    """Scores a model between rollouts, and keeps the best as `agent.zip`."""
+
+    def __init__(self, folder: Path, every: float, pairs: int, interface: FramesInterface) -> None:
+        super().__init__()
+        self.folder, self.every, self.pairs, self.interface = folder, every, pairs, interface
+        self.curve, self.begun = list[dict[str, Any]](), ppo_single.clocks()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self._score(self.every)
+
+    def _on_training_end(self) -> None:
+        self._score(1)
+
+    def _score(self, least: float) -> None:
+        """Scores the model if it was trained for at least that many periods since the last time."""
+        if self.num_timesteps - (self.curve[-1]["steps"] if self.curve else 0) >= least:
+            agent = InTraining(self.model, self.interface)
+            if ppo_single.score(agent, self.curve, self.num_timesteps, self.begun, self.folder, self.pairs):
+                self.model.save(self.folder / "agent.zip")
 
 
-def lines(rung: str, pairs: int) -> dict[str, dict[str, dict[str, float]]]:
-    """Of every controller and scenario: mean return, interquartile means of peak and tracking error, on the episodes that
-    evaluations of a training run drive."""
-    from hydro_env.benchmark.statistics import iqm
-    from hydro_env.controllers import make_controller
-    from hydro_env.controllers.rollout import roll_out
-    from hydro_env.training.evaluate import scored_pairs
-
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for name in ("zero commands", *CONTROLLERS):
-        found[name] = {}
-        for scenario in SCENARIOS:
-            own = "probing_flow_rig" if name == "probing_flow" and rung == "rig" else name
-            controller = Still() if name == "zero commands" else make_controller(own)
-            episodes = roll_out(controller, range(pairs), scenario=scenario, **scored_pairs(LADDER[rung][1]))
-            metrics = episodes.metrics((PEAK, TRACKING))
-            found[name][scenario] = {
-                RETURN: float(np.mean(episodes.returns)),
-                **{metric: float(iqm(values)) for metric, values in metrics.items()},
-            }
-    return found
+def train(name: str, steps: int, seed: int, folder: Path, pairs: int = CHOOSING) -> None:
+    """Trains an agent of `AGENTS` for that many control periods; writes curve and best agent into the folder."""
+    torch.set_num_threads(1)
+    folder.mkdir(parents=True, exist_ok=True)
+    agent = AGENTS[name]
+    if agent.teacher:
+        clone(agent.teacher, steps, seed, folder, POINTS, pairs)
+    elif agent.algorithm:
+        model, interface = make(agent, steps, seed)
+        model.learn(steps, callback=Scores(folder, steps / POINTS, pairs, interface))
+    else:
+        ppo_single.train(steps, seed, folder, POINTS, pairs)
 
 
-def training_files(arguments: argparse.Namespace) -> dict[str, Path]:
-    """What the command trains: the training file by the name of its folder; writes those of default settings."""
-    files = {}
-    for algorithm, steps in zip(arguments.algo, arguments.steps, strict=True):
-        files[algorithm] = arguments.out / f"{algorithm}.yml"
-        write_bytes(
-            files[algorithm], training_file(algorithm, arguments.rung, steps, arguments.pairs).encode()
-        )
-    return files | {f"{name}_recipe": recipe(name) for name in arguments.recipes}
+def make(agent: Agent, steps: int, seed: int) -> tuple[BaseAlgorithm, FramesInterface]:
+    """The model before training, and what lies around its network."""
+    library, _, kind = agent.algorithm.partition(".")
+    algorithm = getattr(import_module(library), kind)
+    config = with_changes(read_config(recipe(agent.recipe)), steps=steps, seed=seed)
+    settings, policy = dict(config.hyper) if agent.tuned else {}, config.policy
+    if kind.startswith("Recurrent"):
+        settings["policy_kwargs"] = {**settings["policy_kwargs"], "lstm_hidden_size": 64}
+        policy = "MlpLstmPolicy"
+    model = algorithm(policy, make_model(config).get_env(), seed=seed, device="cpu", **settings)
+    return model, make_interface(config.training.interface)
 
 
-def train(arguments: argparse.Namespace, command: str) -> None:
-    """Trains every seed of every file; writes `baselines.json`, the picture and the table."""
-    from agents.sweep import sweep
-    from hydro_env.training.config import read_config
-
-    out: Path = arguments.out
-    out.mkdir(parents=True, exist_ok=True)
-    curves, final = {}, {}
-    for name, file in training_files(arguments).items():
-        summary = sweep(
-            read_config(file),
-            range(arguments.seeds),
-            out / name,
-            jobs=arguments.jobs,
-            pairs=arguments.pairs,
-            command=command,
-            progress=not arguments.quiet,
-        )
-        final[name] = summary["rows"]
-        paths = [out / name / f"seed_{each['seed']}" / "curve.json" for each in summary["seeds"]]
-        curves[name] = [read_json(path, "a learning curve", max_bytes=MAX_BYTES_OF_RESULTS) for path in paths]
-        for each in summary["failed"]:
-            print(f"{name}, seed {each['seed']} failed: {each['reason']}", file=sys.stderr)
-    measured = {
-        "schema": SCHEMA,
-        "command": command,
-        "rung": arguments.rung,
-        "pairs": arguments.pairs,
-        "curves": curves,
-        "final": final,
-        "lines": lines(arguments.rung, arguments.pairs),
-    }
-    write_json(out / "baselines.json", measured)
-    draw(curves, measured["lines"], out / "baselines.png")
-    summary_table(measured, out / "baselines.md")
-
-
-def title(name: str) -> str:
-    """What a folder holds, for readers: "PPO, default settings" of `ppo`, "PPO, recipe" of `ppo_recipe`."""
-    algorithm, _, rest = name.partition("_")
-    return f"{algorithm.upper()}, {'recipe' if rest else 'default settings'}"
-
-
-def draw(
-    curves: Mapping[str, Sequence[Any]], levels: Mapping[str, Mapping[str, Mapping[str, float]]], out: Path
-) -> None:
-    """Writes the picture: a panel for each figure, a line for each seed, `levels` as dashed lines."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    from agents.curves import COLOURS
-
-    figure, axes = plt.subplots(1, 3, figsize=(14, 4.5))
-    for axis, metric in zip(axes, (RETURN, PEAK, TRACKING), strict=True):
-        for name, seeds in curves.items():
-            algorithm, _, rest = name.partition("_")
-            look = {"color": COLOURS[algorithm], "lw": 1.0, "ls": "-" if rest else ":", "marker": "."}
-            for number, points in enumerate(seeds):
-                values = [abs(_scores(point)[metric]) for point in points]
-                label = f"{title(name)}, a line per seed" if number == 0 else None
-                axis.plot([point["steps"] for point in points], values, label=label, markersize=3, **look)
-        for name, level in levels.items():
-            value = abs(level[SCENARIOS[0]][metric])
-            axis.axhline(value, color="0.4", lw=1, ls="--")
-            axis.text(1.01, value, name, transform=axis.get_yaxis_transform(), fontsize=8, va="center")
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.set_xlabel("control periods")
-        axis.set_ylabel(TITLES[metric] if metric != RETURN else "minus the mean return")
-        axis.grid(True, which="major", color="0.9")
-    axes[1].legend(fontsize=8, loc="upper right")
-    figure.suptitle(
-        f"Stable-Baselines3 in {SCENARIOS[0]}, pairs of val; lower is better in every panel", fontsize=10
-    )
-    figure.tight_layout()
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=90)
-    plt.close(figure)
-    write_bytes(out, memory.getvalue())
-
-
-def _scores(point: Mapping[str, Any]) -> Mapping[str, float]:
-    """Those of a point of a curve in the scenario that is drawn."""
-    scores: Mapping[str, float] = point["scenarios"][SCENARIOS[0]]
-    return scores
-
-
-def ladder(arguments: argparse.Namespace) -> None:
-    """Measures the lines of every rung; writes `ladder.json` and `ladder.md`."""
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    found = {rung: lines(rung, arguments.pairs) for rung in LADDER}
-    write_json(arguments.out / "ladder.json", {"schema": SCHEMA, "pairs": arguments.pairs, "lines": found})
-    names = ["zero commands", *CONTROLLERS]
-    rows = []
-    for rung, levels in found.items():
-        what, kwargs = LADDER[rung]
-        returns = [f"{levels[name][SCENARIOS[0]][RETURN]:.0f}" for name in names]
-        rows.append([f"`{rung}`: {what}", f"`{_arguments(kwargs)}`" if kwargs else "none", *returns])
-    write_table(
-        arguments.out / "ladder.md", ["rung", "arguments of `gymnasium.make`", *map(_code, names)], rows
-    )
-
-
-def summary_table(measured: Mapping[str, Any], out: Path) -> None:
-    """Writes the last row of figures of every algorithm and the lines; over seeds the interquartile mean and its interval."""
-    head = ["controller", "mean return"]
-    head += [f"peak / tracking error in `{scenario}`, rpm" for scenario in SCENARIOS]
-    rows = []
-    for name, final in measured["final"].items():
-        cells = {(row["scenario"], row["metric"]): row for row in final}
-        if cells:
-            best = cells[SCENARIOS[0], RETURN]
-            row = [
-                f"{title(name)}, best of each of {best['n']} seeds",
-                "{:.0f} [{:.0f}, {:.0f}]".format(best["iqm"], *best["ci95"]),
-            ]
-            row += [f"{cells[s, PEAK]['iqm']:.0f} / {cells[s, TRACKING]['iqm']:.0f}" for s in SCENARIOS]
-            rows.append(row)
-    for name, levels in measured["lines"].items():
-        errors = [f"{levels[s][PEAK]:.0f} / {levels[s][TRACKING]:.0f}" for s in SCENARIOS]
-        rows.append([_code(name), f"{levels[SCENARIOS[0]][RETURN]:.0f}", *errors])
-    write_table(out, head, rows)
-
-
-def write_table(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table in Markdown, which `docs/generate.py NAME=FILE` takes."""
-    text = "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
-    write_bytes(path, f"{text}\n".encode())
-    print(path)
-
-
-def _code(name: str) -> str:
-    return f"`{name}`" if "_" in name else name
-
-
-def _arguments(kwargs: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key}={value!r}" for key, value in kwargs.items())
+def train_all(arguments: argparse.Namespace) -> None:
+    """Trains what is not finished of every agent's seeds, agent by agent."""
+    for name in arguments.agents:
+        for seed in range(arguments.seeds):
+            folder = arguments.out / str(arguments.steps) / name / f"seed_{seed}"
+            if not (folder / "finished").is_file():
+                print(f"{name}, seed {seed}", flush=True)
+                train(name, arguments.steps, seed, folder, arguments.pairs)
+                (folder / "finished").touch()
 
 
 def main() -> None:
@@ -269,29 +142,26 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--algo", choices=ALGORITHMS, nargs="*", default=[], help="at default settings")
-    parser.add_argument("--recipes", choices=RECIPES, nargs="*", default=[], help="by their training files")
+    parser.add_argument("--agents", choices=AGENTS, nargs="*", default=[], help="to train")
+    parser.add_argument(
+        "--steps", type=Limits(1, 10**12, whole=True), default=10**6, help="control periods of each seed"
+    )
     parser.add_argument("--seeds", type=Limits(1, 1000, whole=True), default=5, help="how many, from 0 on")
     parser.add_argument(
-        "--steps",
-        type=Limits(1, 10**12, whole=True),
-        nargs="*",
-        default=[],
-        help="control periods at default settings, one for each --algo",
+        "--pairs", type=Limits(1, 500, whole=True), default=CHOOSING, help="episodes of an evaluation"
     )
-    parser.add_argument("--rung", choices=LADDER, default="train", help="of the ladder of tasks")
-    parser.add_argument(
-        "--pairs", type=Limits(1, 500, whole=True), default=64, help="episodes of an evaluation"
-    )
-    parser.add_argument("--jobs", type=CORES, default=1, help="seeds trained side by side")
     parser.add_argument("--lines", action="store_true", help="the classical controllers alone, on every rung")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     arguments = parser.parse_args()
-    if len(arguments.steps) != len(arguments.algo):
-        parser.error("--steps takes one number for each --algo")
-    command = " ".join(["python -m agents.baselines", *sys.argv[1:]])
-    run_command(lambda: ladder(arguments) if arguments.lines else train(arguments, command))
+
+    def run() -> None:
+        if arguments.lines:
+            ladder(arguments.out, arguments.pairs)
+            return
+        train_all(arguments)
+        report(arguments.out, {name: agent.title for name, agent in AGENTS.items()}, arguments.pairs)
+
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ all policies `FOLDER/*/policy.npz`, whose scores are pooled: their interval is o
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +38,16 @@ HEAD = [
 Floats = NDArray[np.float64]
 
 
-def interval(values: Floats, resamples: int = 2000, seed: int = 0) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of the interquartile mean of values (policies, pairs): both are resampled."""
+def interval(
+    values: Floats, statistic: Callable[[Floats], Any] = iqm, resamples: int = 2000, seed: int = 0
+) -> tuple[float, float]:
+    """95 % percentile bootstrap interval of a statistic of values (policies, pairs): both are resampled."""
     stream = np.random.default_rng(seed)
     policies, pairs = values.shape
     means = []
     for _ in range(resamples):
         drawn = values[stream.integers(policies, size=policies)][:, stream.integers(pairs, size=pairs)]
-        means.append(float(iqm(drawn.ravel())))
+        means.append(float(statistic(drawn.ravel())))
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 

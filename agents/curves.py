@@ -1,8 +1,8 @@
 """Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out runs/ppo/curves.png`.
 
-Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than two decades are drawn
-over logarithms. Beside the picture a JSON file of the same name holds the points. A table of the scores after 10^5, 10^6 periods
-and so on is printed.
+Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than a factor of fifty are
+drawn over logarithms. Beside the picture a JSON file of the same name holds the points. A table of the scores after 10^5, 10^6
+periods and so on is printed.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import log10
 from pathlib import Path
 from statistics import median
@@ -26,6 +26,8 @@ __all__ = ["draw", "read_curves"]
 
 COLOURS = {"ppo": "#0072b2", "sac": "#d55e00", "imitation": "#009e73", "gradient": "#cc79a7"}
 """Of algorithms, and of the stages of a recurrent policy."""
+CLOCKS = {"cpu_seconds": "minutes, one thread", "seconds": "minutes by the clock"}
+ERRORS = {"max_speed_difference_rpm": "largest difference, rpm", "tracking_mae_rpm": "tracking error, rpm"}
 
 
 def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
@@ -60,40 +62,58 @@ def _parts(curve: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
     return parts
 
 
-def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> None:
-    """Writes picture and JSON; `levels` are horizontal lines, by what they mean, rpm."""
+def draw(
+    curves: list[dict[str, Any]],
+    levels: dict[str, float],
+    out: Path,
+    scores: Mapping[str, str] = ERRORS,
+    clock: str = "cpu_seconds",
+    title: str = "val, setpoint_steps, interquartile means; a line per seed",
+) -> None:
+    """Writes picture and JSON: a row for each score, by its key and what it is, without signs. `levels` are horizontal lines in
+    the first row, by what they mean; `clock` is a key of `CLOCKS`."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(2, 2, figsize=(10, 6), sharey="row", sharex="col")
+    figure, axes = plt.subplots(
+        len(scores),
+        2,
+        figsize=(10, 4 + len(scores)),
+        sharey="row",
+        sharex="col",
+        squeeze=False,
+        layout="constrained",
+    )
     named = [(name, points) for curve in curves for name, points in _parts(curve).items()]
+    names = list(dict.fromkeys(name for name, _ in named))
+    colours = {name: COLOURS.get(name, f"C{number}") for number, name in enumerate(names)}
     for name, points in named:
         periods = [point["steps"] / 1e6 for point in points]
-        minutes = [point.get("cpu_seconds", point["seconds"]) / 60.0 for point in points]
-        for column, x in enumerate((periods, minutes)):
-            for row, score in enumerate(("max_speed_difference_rpm", "tracking_mae_rpm")):
-                y = [point[score] for point in points]
-                axes[row, column].plot(x, y, ".-", color=COLOURS[name], lw=1)
-    for name in dict.fromkeys(name for name, _ in named):
-        axes[0, 0].plot([], [], color=COLOURS[name], label=name)
+        minutes = [point.get(clock, point["seconds"]) / 60.0 for point in points]
+        for row, score in zip(axes, scores, strict=True):
+            for axis, x in zip(row, (periods, minutes), strict=True):
+                axis.plot(x, [abs(point[score]) for point in points], ".-", color=colours[name], lw=1)
+    for name, colour in colours.items():
+        axes[0, 0].plot([], [], color=colour, label=name)
     for text, level in levels.items():
-        axes[0, 0].axhline(level, color="0.5", lw=1, ls="--")
-        axes[0, 1].axhline(level, color="0.5", lw=1, ls="--", label=text)
-    for axis in axes[0]:
-        axis.legend(fontsize=8)
+        axes[0, 0].axhline(abs(level), color="0.5", lw=1, ls="--")
+        axes[0, 1].axhline(abs(level), color="0.5", lw=1, ls="--")
+        axes[0, 1].text(
+            1.0, abs(level), f" {text}", fontsize=7, transform=axes[0, 1].get_yaxis_transform(), va="center"
+        )
+    figure.legend(fontsize=8, ncols=3, loc="outside lower center")
     steps = [point["steps"] for _, points in named for point in points]
-    if max(steps) > 100 * min(steps):
+    if max(steps) > 50 * min(steps):
         for axis in axes.flat:
             axis.set_xscale("log")
             axis.set_yscale("log")
-    axes[0, 0].set_ylabel("largest difference, rpm")
-    axes[1, 0].set_ylabel("tracking error, rpm")
-    axes[1, 0].set_xlabel("million control periods")
-    axes[1, 1].set_xlabel("minutes, one thread")
-    figure.suptitle("val, setpoint_steps, interquartile means; a line per seed", fontsize=10)
-    figure.tight_layout()
+    for axis, label in zip(axes[:, 0], scores.values(), strict=True):
+        axis.set_ylabel(label)
+    axes[-1, 0].set_xlabel("million control periods")
+    axes[-1, 1].set_xlabel(CLOCKS[clock])
+    figure.suptitle(title, fontsize=10)
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=80)
     plt.close(figure)

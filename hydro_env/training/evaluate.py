@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.learned.policy import NumpyPolicy
+from hydro_env.controllers.learned.policy_interface import Policy
 from hydro_env.controllers.rollout import roll_out
 
 __all__ = ["METRICS", "evaluate", "scored_pairs"]
@@ -26,14 +27,15 @@ def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def evaluate(
-    policy: str | Path,
+    policy: str | Path | Policy,
     pairs: int,
     env_kwargs: dict[str, Any],
     scenario: str = "setpoint_steps",
 ) -> dict[str, float]:
     """Interquartile means over the first `pairs` pairs of `scored_pairs` in a scenario, the 95th percentile of the largest
-    speed difference, and the mean return with the environment's default weights."""
-    episodes = roll_out(NumpyPolicy(policy), range(pairs), scenario=scenario, **scored_pairs(env_kwargs))
+    speed difference, and the mean return with the environment's default weights. `policy`: a policy file, or what it holds."""
+    driver = policy if isinstance(policy, Policy) else NumpyPolicy(policy)
+    episodes = roll_out(driver, range(pairs), scenario=scenario, **scored_pairs(env_kwargs))
     metrics = episodes.metrics(METRICS)
     scores = {name: float(trim_mean(metrics[name], 0.25)) for name in METRICS}
     scores["max_speed_difference_rpm_p95"] = float(np.percentile(metrics["max_speed_difference_rpm"], 95))

@@ -1,10 +1,9 @@
-"""What surrounds training: baselines, robustness study, search, pictures, scores of the law alone."""
+"""What surrounds training: robustness study, search, pictures, scores of the law alone."""
 
 import json
 import subprocess
 import sys
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -77,62 +76,6 @@ def test_rl_zoo_trains_from_the_same_file(tmp_path, algorithm):
     done = subprocess.run([*zoo, *what, *how], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert list(tmp_path.rglob("HydraulicSync-v0.zip"))
-
-
-def test_baselines_train_and_draw_beside_the_line_to_beat(tmp_path, monkeypatch):
-    from agents import baselines
-
-    command = [
-        "agents.baselines",
-        "--algo",
-        "ppo",
-        "--seeds",
-        "1",
-        "--steps",
-        "300",
-        "--pairs",
-        "2",
-        "--quiet",
-    ]
-    monkeypatch.setattr(sys, "argv", [*command, "--out", str(tmp_path)])
-    for _ in range(2):  # the second time nothing is left to train
-        baselines.main()
-        found = json.loads((tmp_path / "baselines.json").read_text())
-        (curve,) = found["curves"]["ppo"]
-        assert [point["steps"] for point in curve] == [2048]
-        returns = {name: level["random_steps"]["mean_return"] for name, level in found["lines"].items()}
-        assert curve[0]["mean_return"] < returns["cross_coupled"] < 0.0
-        assert returns["zero commands"] < returns["cross_coupled"]
-        assert (tmp_path / "baselines.png").stat().st_size > 10_000
-        assert "PPO, default settings, best of each of 1 seeds" in (tmp_path / "baselines.md").read_text()
-
-
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_the_baselines_change_no_default_setting(tmp_path, algorithm):
-    from agents.baselines import LADDER, training_file
-    from hydro_env.training.config import ALGORITHMS, read_config
-    from hydro_env.training.train import make_model
-
-    path = tmp_path / "file.yml"
-    for rung in LADDER:
-        path.write_text(training_file(algorithm, rung, 1000, 2))
-        config = read_config(path)
-        assert config.env_kwargs == LADDER[rung][1]
-        gymnasium.make("hydro_env:HydraulicSync-v0", **config.env_kwargs)
-    model = make_model(config)
-    plain = ALGORITHMS[algorithm]("MlpPolicy", gymnasium.make("hydro_env:HydraulicSync-v0"), device="cpu")
-    assert str(model.policy) == str(plain.policy)
-    for name in (
-        "gamma",
-        "batch_size",
-        "learning_rate",
-        "n_steps",
-        "n_epochs",
-        "train_freq",
-        "buffer_size",
-        "ent_coef",
-    ):
-        assert getattr(model, name, None) == getattr(plain, name, None), name
 
 
 def test_curves_give_a_table_of_powers_of_ten():
