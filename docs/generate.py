@@ -760,24 +760,6 @@ def classical() -> str:
     return f"{_origin(found)}\n\n{_table(head, rows)}"
 
 
-def agents() -> str:
-    """A row per controller, a column per scenario: peak [interval] / tracking (worst 5 %)."""
-    found = _results()["tables"]["agents"]
-    cells = {tuple(row[:3]): row[3:] for row in found["rows"]}
-    places = list(dict.fromkeys(tuple(row[1:3]) for row in found["rows"]))
-    rows = []
-    for name in dict.fromkeys(row[0] for row in found["rows"]):
-        row = [name]
-        for place in places:
-            peak, _, worst, tracking, _ = cells.get((name, *place), [""] * 5)
-            row.append(" / ".join(filter(None, (peak, tracking))) + (f" ({worst})" if worst else ""))
-        rows.append(row)
-    head = [
-        f"`{scenario}`" + (f", `{split}`" if split != "test_interp" else "") for split, scenario in places
-    ]
-    return f"{_origin(found)}\n\n{_table(['controller', *head], rows)}"
-
-
 def speed() -> str:
     found = _results()["speed"]
     rows = [
@@ -929,7 +911,7 @@ PARTS: dict[str, Callable[[], str]] = {
         observation, reward, episodes, threshold,
         diagnosis_stages,
         diagnosis_settings, commands, log_columns, units, scores, scores_short,
-        classical, leaderboard, agents, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
+        classical, leaderboard, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
         diagnosis_results, licences,
     )
 }  # fmt: skip
