@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from ..catalogue import Effect
-from .driver import NUMBERS
+from .driver import NUMBERS, SWEEPS
 from .fused import fused_lines
 from .integrator import CONTROL, ERRORS, METHOD, TOLERATED, integral_coefficients
 from .layout import (
@@ -277,7 +277,9 @@ class _Sweeps:
 
     def _judged(self) -> list[str]:
         at = self.at
-        lines = [f"error = {at.cell('error')}"]
+        lines = [f"{at.cell('before__todo')} = todo"]
+        lines += [f"{at.cell('before__' + name)} = {at.cell(name)}" for name in ("speed", "speed_rate")]
+        lines += [f"error = {at.cell('error')}"]
         lines += ["error = error if error < 1e12 else 1e12", "fine = error <= 1.0"]
         lines += [f"change = {CONTROL.ladder[0][1]!r}"]
         lines += [
@@ -300,6 +302,23 @@ class _Sweeps:
         ]
         names = [*at.states, "time", *self._evaluated]
         return lines + [f"{at.cell(name)} = {name} if moves else {at.cell(name)}" for name in names]
+
+    def pass_point(self) -> list[list[str] | str]:
+        """By the cubic through the speeds and their rates at both ends of the attempt (E. Hairer, S. P. Norsett, G. Wanner,
+        Solving Ordinary Differential Equations I, section II.6)."""
+        at = self.at
+        lines = at.load(["todo", "row_left", "points_left", "speed", "speed_rate"])
+        lines += [
+            f"{name} = {at.cell('before__' + of)}"
+            for name, of in (("began", "todo"), ("before", "speed"), ("rate", "speed_rate"))
+        ]
+        lines += ["due = points_left * h - row_left", "length = began - todo", "passed = due >= todo"]
+        lines += ["share = (began - due) / length", "rest = 1.0 - share", "rise = speed - before"]
+        lines += ["bend = length * rate - rise", "back = length * speed_rate - rise"]
+        lines += [f"{at.cell('point_speed')} = before + share * (rise + rest * (rest * bend - share * back))"]
+        lines += [f"{at.cell('point_passed')} = points_left + 1.0 if passed else 0.0"]
+        lines += [f"{at.cell('points_left')} = points_left - 1.0 if passed else points_left"]
+        return [lines]
 
     def observe(self) -> list[list[str] | str]:
         """Flow, and what only sensors see, from the states as they are."""
@@ -445,9 +464,8 @@ def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -
     given, effects = effects, with_shared(effects)
     layout = layout_of(effects, half)
     sweeps = _Sweeps(layout, step_of(effects), grouped)
-    names = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
-    counts = {"start_row": "fresh", "attempt_step": "todo"}
-    texts = {n: _sweep(layout, getattr(sweeps, n)(), n == "attempt_step", counts.get(n, "")) for n in names}
+    counts = {"start_row": "fresh", "attempt_step": "todo", "pass_point": "point_passed"}
+    texts = {n: _sweep(layout, getattr(sweeps, n)(), n == "attempt_step", counts.get(n, "")) for n in SWEEPS}
     additions = _sweep(layout, _additions(layout))
     text = MODULE.format(functions="\n\n".join(functions(effects)), half=half, additions=additions, **texts)
     at, own, settable = layout.rows, set(layout.parameters), set(parameters_of(given))

@@ -20,18 +20,17 @@ from .vector_ir import FOUND
 __all__ = ["NUMBERS", "SWEEPS", "advance"]
 
 #: Sweeps of `template`, called by their addresses.
-SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
+SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "pass_point", "reset_diverged")
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
 #: (`delay`, `coupled`: -1 without), addresses.
 NUMBERS = (
-    "half", "moving", "kept", "command", "load", "applied", "todo", "row_left", "fresh", "delay", "coupled", "speed",
-    "speed_rate", "peak_difference", *SWEEPS,
+    "half", "moving", "kept", "command", "load", "applied", "todo", "row_left", "fresh", "delay", "coupled", "points_left",
+    "point_speed", "point_passed", "peak_difference", *SWEEPS,
 )  # fmt: skip
 
-HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED, SPEED, SPEED_RATE, PEAK = (
-    range(14)
-)
-PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, RESET_DIVERGED = range(14, 20)
+HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED = range(11)
+POINTS_LEFT, POINT_SPEED, POINT_PASSED, PEAK = range(11, 15)
+PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, PASS_POINT, RESET_DIVERGED = range(15, 22)
 #: Attempts at steps for a row of commands, at most, and for each second that it lasts.
 MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S = 20_000, 2_000_000.0
 
@@ -110,64 +109,28 @@ def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def
 
 
 @_nogil
-def interpolate(at, cells, period, room):  # type: ignore[no-untyped-def]
-    """Speeds at the points of a grid over the row that the last steps have passed, by the cubic through the speeds and rates at
-    both ends of each step (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6).
-
-    room: grid (points + 1, lanes), speeds, and a row for lanes that pass no point; was (3, lanes), what was left of the row, s,
-    speeds and rates where the steps began; left (lanes,), what is left, s; passed (lanes,), how many points a lane has passed;
-    place, values (lanes,).
-    """
-    grid, was, left, passed, place, values = room
-    lanes, last = left.size, grid.shape[0] - 2
-    part, speed, rate = period / (last + 1), at[SPEED] * lanes, at[SPEED_RATE] * lanes
-    crossing = 0
-    for lane in range(lanes):
-        crossing += (last - passed[lane]) * part >= left[lane]
-    while crossing > 0:
-        crossing = 0
-        for lane in range(lanes):
-            due, length = (last - passed[lane]) * part, was[0, lane] - left[lane]
-            s, rise = (was[0, lane] - due) / length, cells[speed + lane] - was[1, lane]
-            bend, back = length * was[2, lane] - rise, length * cells[rate + lane] - rise
-            values[lane] = was[1, lane] + s * (rise + (1.0 - s) * ((1.0 - s) * bend - s * back))
-            crosses = due >= left[lane]
-            place[lane] = passed[lane] if crosses else last + 1
-            passed[lane] += crosses
-            crossing += crosses & (due - part >= left[lane])
-        for lane in range(lanes):
-            grid[place[lane], lane] = values[lane]
-
-
-@_nogil
-def follow(at, cells, ring, lasted, b, slot, period, peak, room):  # type: ignore[no-untyped-def]
+def follow(at, cells, ring, lasted, b, slot, period, peak, grid):  # type: ignore[no-untyped-def]
     """Steps to the end of a row. Each lane goes at its own pace and waits for the others there.
 
     ring, lasted and slot as for `advance`, of block b; peak (rigs of a block,): raised to the largest speed difference at the
-    points of the grid, rad/s; room: as for `interpolate`, with a grid of one row where there are none.
+    points of the grid, rad/s; grid (points + 1, lanes): a row for lanes that pass no point, then speeds, the last first.
     """
-    grid, was, left, passed = room[0], room[1], room[2], room[3]
-    delayed, lanes = ring is not None and at[DELAY] >= 0, left.size
-    points = grid.shape[0] - 1
-    passed[:] = 0
+    points, lanes = grid.shape[0] - 1, grid.shape[1]
+    for lane in range(lanes):
+        cells[at[POINTS_LEFT] * lanes + lane] = points - 1
     for _ in range(MAX_ATTEMPTS + int(MAX_ATTEMPTS_PER_S * period)):
-        if points > 0:
-            copy(was, 0, cells, at[TODO] * lanes, lanes)
-            copy(was, lanes, cells, at[SPEED] * lanes, lanes)
-            copy(was, 2 * lanes, cells, at[SPEED_RATE] * lanes, lanes)
         going = sweep(at[ATTEMPT_STEP], cells, period)
-        if points > 0:
-            copy(left, 0, cells, at[TODO] * lanes, lanes)
-            for lane in range(lanes if delayed else 0):
-                was[0, lane] += cells[at[ROW_LEFT] * lanes + lane]
-                left[lane] += cells[at[ROW_LEFT] * lanes + lane]
-            interpolate(at, cells, period, room)
-        if ring is not None and delayed and delay(at, cells, ring[b], lasted[b], slot, period):
+        while points > 0 and sweep(at[PASS_POINT], cells, period / points) > 0:
+            for lane in range(lanes):
+                grid[int(cells[at[POINT_PASSED] * lanes + lane]), lane] = cells[
+                    at[POINT_SPEED] * lanes + lane
+                ]
+        if ring is not None and at[DELAY] >= 0 and delay(at, cells, ring[b], lasted[b], slot, period):
             going = lanes
             sweep(at[EVALUATE], cells, period)
         if going == 0:
             break
-    for n in range(points):
+    for n in range(1, points + 1):
         for rig in range(peak.size):
             apart = abs(grid[n, rig] - grid[n, rig + peak.size])
             peak[rig] = apart if apart > peak[rig] else peak[rig]
@@ -189,10 +152,7 @@ def advance(  # type: ignore[no-untyped-def]
     half, rigs = at[HALF], out.shape[2]
     lanes, kept = 2 * half, 2 * half * at[KEPT]
     delayed = ring is not None and at[DELAY] >= 0
-    was, left, values = np.empty((3, lanes), cells.dtype), np.empty(lanes, cells.dtype), np.empty(lanes)
-    passed, place = np.empty(lanes, np.int32), np.empty(lanes, np.int32)
-    room = np.empty((points + 1, lanes)), was, left, passed, place, values
-    peak = np.empty(half)
+    grid, peak = np.empty((points + 1, lanes), cells.dtype), np.empty(half, cells.dtype)
     for b in range(memory.size // kept):
         start, low = b * kept, b * half
         high = low + half if low + half < rigs else rigs
@@ -228,7 +188,7 @@ def advance(  # type: ignore[no-untyped-def]
                 delay(at, cells, ring[b], lasted[b], slot, period)
             if fresh > 0 or delayed:
                 sweep(at[EVALUATE], cells, period)
-            follow(at, cells, ring, lasted, b, slot, period, peak, room)
+            follow(at, cells, ring, lasted, b, slot, period, peak, grid)
             sweep(at[RESET_DIVERGED], cells, period)
         for lane in range(half if points > 0 else 0):
             cells[at[PEAK] * lanes + lane] = cells[at[PEAK] * lanes + half + lane] = peak[lane]

@@ -25,8 +25,12 @@ INTEGRAL = {"angle": "speed"}
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop", "beta")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 #: Rows of the step: time left of a command, s; the step to try, s; the squared error of the last one; whether the rates are to
-#: be evaluated; and whether a lane was given up.
-STEP = ("todo", "error", "fresh", "lost")
+#: be evaluated; whether a lane was given up; the time left, the speed and its rate before the last attempt; and
+#: of a grid over the row: the points after the next one, the speed at that one, its number from the end if it was passed, else 0.
+STEP = (
+    "todo", "error", "fresh", "lost", "before__todo", "before__speed", "before__speed_rate", "points_left", "point_speed",
+    "point_passed",
+)  # fmt: skip
 _OUTPUTS = (
     "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "diverged", "lost_at",
     "peak_difference", "command", "load",
