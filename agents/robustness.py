@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("controllers", nargs="*", default=CONTROLLERS, help="names or policy files")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument(
-        "--first", type=Limits(0, 999, whole=True), default=900, help="first case of the split"
+        "--first", type=Limits(0, 999, whole=True), default=200, help="first case of the split"
     )
     parser.add_argument("--cases", type=Limits(1, 1000, whole=True), default=100, help="pairs of valves")
     chosen = parser.parse_args()
