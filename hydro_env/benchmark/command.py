@@ -25,7 +25,7 @@ from hydro_env.benchmark.cells import (
     score_ends,
 )  # fmt: skip
 from hydro_env.benchmark.report import scores_page, scores_table
-from hydro_env.benchmark.result import read_declared, write_results
+from hydro_env.benchmark.result import check_protocol, read_declared, write_results
 from hydro_env.benchmark.statistics import normalised, probability_of_improvement
 from hydro_env.benchmark.suite import Suite, load_suite
 from hydro_env.benchmark.tuned import tuned
@@ -90,9 +90,11 @@ def run(
     chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
+    check_protocol(chosen, conditions)
     training = read_declared(selection.declared) if selection else None
     specs = _specs(controllers or ["all"])
-    specs += [name for name in (BASELINE, BOUND) if chosen.protocol and name not in specs]
+    given = len(specs)
+    specs = specs + [name for name in (BASELINE, BOUND) if chosen.protocol and name not in specs]
     first: list[str] = []
     if gains is not None:
         specs, first = tuned(
@@ -108,7 +110,8 @@ def run(
     if out is not None:
         write_json(Path(out) / "scores.json", scores)
         if chosen.protocol and conditions.plant in preset_names():
-            write_results(Path(out), done, scores, training)
+            trained = {cell.name: training for cell in done[: given * len(done) // len(specs)]}
+            write_results(Path(out), done, scores, trained)
         with beside_results(page := Path(out) / "scores.html"):
             write_text(page, scores_page(scores, _traces(done, conditions)))
     return scores
