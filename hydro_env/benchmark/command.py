@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -152,7 +152,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "scenarios": list(suite.scenarios),
         "metrics": list(suite.metrics),
         "about": f"Suite {suite.name} on the plant {label}, control period {conditions.control_period * 1000:g} ms, "
-        f"seed {conditions.seed}. {_valves(suite, drawn)}",
+        f"seed {conditions.seed}. {_valves(suite, drawn)}{_unscored(cells, ends)}",
         "plant": label,
         "seed": conditions.seed,
         "control_period_s": conditions.control_period,
@@ -212,6 +212,18 @@ def _valves(suite: Suite, drawn: dict[str, list[str]]) -> str:
         instead = f" in place of the plant's own {', '.join(names)}" if names else ""
         sentences.append(f"Split {', '.join(alike)}: pairs of valves are drawn{instead}.")
     return " ".join(sentences)
+
+
+def _unscored(cells: list[Cell], ends: Mapping[tuple[str, str], Any]) -> str:
+    """Why there is no normalised score somewhere, in a sentence; nothing where there is one everywhere."""
+    missing = [name for name in (BASELINE, BOUND) if name not in {cell.name for cell in cells}]
+    if missing:
+        return f" No {SCORE.title}: {' and '.join(missing)} did not take part."
+    places = {
+        f"{each.split} {each.scenario}": None for each in cells if (each.split, each.scenario) not in ends
+    }
+    why = f"where {BASELINE} or {BOUND} failed or their intervals of the return touch"
+    return f" No {SCORE.title} in {', '.join(places)}, {why}." if places else ""
 
 
 def _place(controller: str, split: str, scenario: str, metric: str) -> dict[str, str]:
