@@ -64,7 +64,7 @@ def _drivers(name: str) -> list[Any]:
 
 def card_rows(
     name: str,
-    first: int = 700,
+    first: int = 500,
     cases: int = 200,
     rows: Sequence[tuple[str, str]] = ROWS,
     preset: str = "paper_dead_zone",
@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument(
         "--first",
         type=Limits(0, 10**6, whole=True),
-        default=700,
+        default=500,
         help="first case of each split; beyond 999 the same cases with other noise",
     )
     parser.add_argument(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import importlib.util
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,7 +20,7 @@ import numpy as np
 from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, summarise
 from hydro_env.benchmark.suite import Suite
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.registry import make_controller, split_gains
+from hydro_env.controllers.registry import make_controller, source_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
@@ -166,14 +165,10 @@ def _content(spec: Any) -> str:
         return repr(spec.to_dict())
     if not isinstance(spec, str | Path):
         raise TypeError("an object says nothing of the code behind it")
-    source = split_gains(str(spec))[0].rpartition(":")[0]
-    if source and not source.endswith(".py"):
-        module = importlib.util.find_spec(source)
-        source = "" if module is None or module.origin is None else module.origin
-    path = Path(source or spec)
-    if path.suffix == ".json" and ":" in (law := read_gains(path).controller):
+    path = source_of(str(spec))
+    if path is not None and path.suffix == ".json" and ":" in (law := read_gains(path).controller):
         spec = f"{spec} {_content(law)}"
-    return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
+    return f"{spec} {'' if path is None else hashlib.sha256(path.read_bytes()).hexdigest()}"
 
 
 def drive(
@@ -299,7 +294,8 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
         return {}
     found = {
         name: mean_of(
-            [cell.summaries[name] for cell in cells], [(cell.metrics[name], cell.faults) for cell in cells]
+            [cell.summaries[name] for cell in cells],
+            [(cell.metrics[name], cell.faults) for cell in cells],
         )
         for name in (TRACE_METRIC, TRACKING)
     }
@@ -308,7 +304,7 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
         found[SCORE.name] = mean_of(
             [normalised(cell.summaries[RETURN], (low, high)) for cell, low, high in of_cells],
             [
-                (100.0 * (cell.metrics[RETURN] - low) / (high - low), cell.faults)
+                (100.0 * ((cell.metrics[RETURN] - low) / (high - low)), cell.faults)
                 for cell, low, high in of_cells
             ],
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -25,7 +25,7 @@ from hydro_env.benchmark.cells import (
     score_ends,
 )  # fmt: skip
 from hydro_env.benchmark.report import scores_page, scores_table
-from hydro_env.benchmark.result import read_declared, write_results
+from hydro_env.benchmark.result import check_protocol, read_declared, write_results
 from hydro_env.benchmark.statistics import normalised, probability_of_improvement
 from hydro_env.benchmark.suite import Suite, load_suite
 from hydro_env.benchmark.tuned import tuned
@@ -90,9 +90,11 @@ def run(
     chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
+    check_protocol(chosen, conditions)
     training = read_declared(selection.declared) if selection else None
     specs = _specs(controllers or ["all"])
-    specs += [name for name in (BASELINE, BOUND) if chosen.protocol and name not in specs]
+    given = len(specs)
+    specs = specs + [name for name in (BASELINE, BOUND) if chosen.protocol and name not in specs]
     first: list[str] = []
     if gains is not None:
         specs, first = tuned(
@@ -108,7 +110,8 @@ def run(
     if out is not None:
         write_json(Path(out) / "scores.json", scores)
         if chosen.protocol and conditions.plant in preset_names():
-            write_results(Path(out), done, scores, training)
+            trained = {cell.name: training for cell in done[: given * len(done) // len(specs)]}
+            write_results(Path(out), done, scores, trained)
         with beside_results(page := Path(out) / "scores.html"):
             write_text(page, scores_page(scores, _traces(done, conditions)))
     return scores
@@ -149,7 +152,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "scenarios": list(suite.scenarios),
         "metrics": list(suite.metrics),
         "about": f"Suite {suite.name} on the plant {label}, control period {conditions.control_period * 1000:g} ms, "
-        f"seed {conditions.seed}. {_valves(suite, drawn)}",
+        f"seed {conditions.seed}. {_valves(suite, drawn)}{_unscored(cells, ends)}",
         "plant": label,
         "seed": conditions.seed,
         "control_period_s": conditions.control_period,
@@ -209,6 +212,18 @@ def _valves(suite: Suite, drawn: dict[str, list[str]]) -> str:
         instead = f" in place of the plant's own {', '.join(names)}" if names else ""
         sentences.append(f"Split {', '.join(alike)}: pairs of valves are drawn{instead}.")
     return " ".join(sentences)
+
+
+def _unscored(cells: list[Cell], ends: Mapping[tuple[str, str], Any]) -> str:
+    """Why there is no normalised score somewhere, in a sentence; nothing where there is one everywhere."""
+    missing = [name for name in (BASELINE, BOUND) if name not in {cell.name for cell in cells}]
+    if missing:
+        return f" No {SCORE.title}: {' and '.join(missing)} did not take part."
+    places = {
+        f"{each.split} {each.scenario}": None for each in cells if (each.split, each.scenario) not in ends
+    }
+    why = f"where {BASELINE} or {BOUND} failed or their intervals of the return touch"
+    return f" No {SCORE.title} in {', '.join(places)}, {why}." if places else ""
 
 
 def _place(controller: str, split: str, scenario: str, metric: str) -> dict[str, str]:

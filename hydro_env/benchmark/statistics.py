@@ -145,6 +145,6 @@ def normalised(summary: Summary, ends: tuple[float, float]) -> Summary:
     """On a scale that is 0 at the first of `ends` and 100 at the second."""
     low, high = ends
     middle, *interval, worst = (
-        100.0 * (v - low) / (high - low) for v in (summary.iqm, *summary.ci95, summary.cvar95)
+        100.0 * ((v - low) / (high - low)) for v in (summary.iqm, *summary.ci95, summary.cvar95)
     )
     return Summary(middle, (interval[0], interval[1]), worst, summary.n)

@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, number, writing
 from hydro_env.errors import InputError
-from hydro_env.limits import Limits
+from hydro_env.limits import SEEDS, Limits
 
 PAIRS = Limits(1, 10_000, whole=True)
 # fmt: off
@@ -21,6 +21,9 @@ Check = Annotated[Path | None, Option(
 )]
 Declare = Annotated[Path | None, Option(
     metavar="FILE.yaml", help="How the agent was trained, for the result files of --suite paper."
+)]
+ScoreSeed = Annotated[int | None, number(
+    "Random seed; the same seed gives the same result. Default: 0, with --check another one each time.", SEEDS, "--seed"
 )]
 # fmt: on
 
@@ -96,7 +99,7 @@ def benchmark(
     cases: Annotated[int | None, number("Pairs of valves per split. Default: the suite's.", PAIRS)] = None,
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
-    seed: Seed = 0,
+    seed: ScoreSeed = None,
     mapping: Annotated[Path | None, Option(
         metavar="FILE.yaml", help="Which variables of an FMU (--plant FILE.fmu, with --trust) are meant."
     )] = None,
@@ -130,7 +133,7 @@ def benchmark(
     with writing(out) as folder:
         rig, split = _rig(plant, mapping, split, trust)
         selection = command.Selection(suite, split, scenario, cases, declare)
-        conditions = command.Conditions(rig, control_period, seed, limit)
+        conditions = command.Conditions(rig, control_period, seed or 0, limit)
         scores = command.run(
             folder, controllers=given, selection=selection, conditions=conditions, engine=engine, jobs=jobs, cells_folder=cells,
             trust=trust, gains=None if as_shipped else (cells or out) / "gains",

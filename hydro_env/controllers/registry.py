@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
 from hydro_env.errors import InputError, place_of, shown, suggestion
 
-__all__ = ["CONTROLLERS", "LAWS", "Entry", "law_of", "make_controller", "split_gains"]
+__all__ = ["CONTROLLERS", "LAWS", "Entry", "law_of", "make_controller", "source_of", "split_gains"]
 
 HERE = Path(__file__).parent
 
@@ -130,6 +131,21 @@ def split_gains(text: str) -> tuple[str, dict[str, float]]:
         return head, {key: float(value) for key, value in (each.split("=") for each in tail.split(","))}
     except ValueError:
         raise InputError(f"controller {text!r}: expected GAIN=NUMBER,... after the colon") from None
+
+
+def source_of(text: str) -> Path | None:
+    """The file of code, gains or a network that a controller given as text is read from, whatever gains follow; None for one
+    that ships and for what is no file."""
+    text = split_gains(text)[0]
+    where = text.rpartition(":")[0]
+    if where and not where.endswith(".py"):
+        try:
+            module = importlib.util.find_spec(where)
+        except (ImportError, ValueError):  # no module's name
+            module = None
+        where = (module and module.origin) or ""
+    path = Path(where or text)
+    return path if text not in CONTROLLERS and path.is_file() else None
 
 
 def law_of(name: str) -> type[Controller]:

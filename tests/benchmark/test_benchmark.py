@@ -225,6 +225,7 @@ def test_legend_names_the_actual_baseline(scores):
     """Without pid_tuned the first controller is the baseline, and without the oracle there is no bound."""
     got, out = scores
     assert got["baseline"] == "pid_paper" and got["bound"] is None
+    assert "No normalised score: pid_tuned and oracle did not take part." in got["about"]
     assert {entry["over"] for entry in got["improvement"]} == {got["baseline"]}
     page = (out / "scores.html").read_text()
     assert "beats pid_tuned" not in page and "${S.baseline}" in page
