@@ -1,7 +1,7 @@
 """Scores on test pairs, as the tables of cards and docs: `python -m agents.card ppo` or several at once.
 
 While an agent is developed its makers look at some test pairs, and what they see there steers what they try next. So the
-tables are filled from cases that nobody looks at before: by default 700 to 899 of each split. `seeds:FOLDER` stands for
+tables are filled from cases that nobody looks at before: by default 500 to 699 of each split. `seeds:FOLDER` stands for
 all policies `FOLDER/*/policy.npz`, whose scores are pooled: their interval is over pairs and over training seeds.
 """
 

@@ -292,10 +292,12 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
     in one of them."""
     if not all(cell.metrics for cell in cells):
         return {}
+    # The same pairs of valves drive all scenarios of a split: resampled together, or the interval would be too narrow.
+    seeds = [sorted({cell.split for cell in cells}).index(cell.split) for cell in cells]
     found = {
         name: mean_of(
             [cell.summaries[name] for cell in cells],
-            [(cell.metrics[name], cell.faults) for cell in cells],
+            [(cell.metrics[name], cell.faults, seed) for cell, seed in zip(cells, seeds, strict=True)],
         )
         for name in (TRACE_METRIC, TRACKING)
     }
@@ -304,8 +306,8 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
         found[SCORE.name] = mean_of(
             [normalised(cell.summaries[RETURN], (low, high)) for cell, low, high in of_cells],
             [
-                (100.0 * ((cell.metrics[RETURN] - low) / (high - low)), cell.faults)
-                for cell, low, high in of_cells
+                (100.0 * ((cell.metrics[RETURN] - low) / (high - low)), cell.faults, seed)
+                for (cell, low, high), seed in zip(of_cells, seeds, strict=True)
             ],
         )
     return found

@@ -134,10 +134,11 @@ def summarise(
     return Summary(iqm(sample), interval, sign * cvar(sign * sample), sample.size)
 
 
-def mean_of(parts: Sequence[Summary], samples: Sequence[tuple[ArrayLike, ArrayLike]]) -> Summary:
-    """The mean of parts of a suite, each with equal weight; `samples` are the values behind them and their strata."""
+def mean_of(parts: Sequence[Summary], samples: Sequence[tuple[ArrayLike, ArrayLike, int]]) -> Summary:
+    """The mean of parts of a suite, each with equal weight; `samples` are the values behind them, their strata and a seed. Parts
+    of the same seed and strata are resampled alike."""
     middle, worst = (float(np.mean([getattr(part, of) for part in parts])) for of in ("iqm", "cvar95"))
-    means = [resampled(values, strata=strata, seed=n) for n, (values, strata) in enumerate(samples)]
+    means = [resampled(values, strata=strata, seed=seed) for values, strata, seed in samples]
     return Summary(middle, _interval(np.mean(means, axis=0)), worst, sum(part.n for part in parts))
 
 

@@ -117,10 +117,20 @@ def test_the_score_is_0_and_100_at_its_ends():
 def test_parts_of_a_suite_have_equal_weight():
     """However large their numbers of cases."""
     rng = np.random.default_rng(0)
-    samples = [(rng.normal(1.0, 1.0, 400), ["a"] * 400), (rng.normal(3.0, 1.0, 40), ["a"] * 20 + ["b"] * 20)]
-    parts = [summarise(values, strata=strata) for values, strata in samples]
+    samples = [
+        (rng.normal(1.0, 1.0, 400), ["a"] * 400, 0),
+        (rng.normal(3.0, 1.0, 40), ["a"] * 20 + ["b"] * 20, 1),
+    ]
+    parts = [summarise(values, strata=strata) for values, strata, _ in samples]
     got = mean_of(parts, samples)
     assert got.iqm == pytest.approx(np.mean([part.iqm for part in parts])) and got.n == 440
     wide = [part.ci95[1] - part.ci95[0] for part in parts]
     assert got.ci95[0] < got.iqm < got.ci95[1]
     assert got.ci95[1] - got.ci95[0] == pytest.approx(np.hypot(*wide) / 2, rel=0.15)
+
+
+def test_parts_of_the_same_cases_do_not_make_the_interval_narrower():
+    """The same pairs of valves in two scenarios say as much as in one."""
+    values, strata = np.random.default_rng(0).normal(0.0, 1.0, 100), ["a"] * 100
+    part = summarise(values, strata=strata)
+    assert mean_of([part, part], [(values, strata, 0)] * 2).ci95 == pytest.approx(part.ci95)
