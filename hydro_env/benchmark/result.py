@@ -143,11 +143,9 @@ class Result(FileTable):
 
 def read_declared(path: str | Path | None) -> dict[str, Any] | None:
     """What a YAML file declares. InputError for anything else."""
-    return (
-        None
-        if path is None
-        else checked(Declared, read_yaml(path, "how an agent was trained, in YAML"), path).model_dump()
-    )
+    if path is None:
+        return None
+    return checked(Declared, read_yaml(path, "how an agent was trained, in YAML"), path).model_dump()
 
 
 def write_results(
@@ -251,10 +249,8 @@ def check(
 
 def _given(path: str | Path, found: Mapping[str, Any], controllers: Sequence[Any]) -> Any:
     """The controller of a result: one that ships, or that of the file which was given and has the same content."""
-    spec, told = (
-        (controllers[0] if controllers else found["given"]),
-        f"{path}: is the result of {found['given']}",
-    )
+    spec = controllers[0] if controllers else found["given"]
+    told = f"{path}: is the result of {found['given']}"
     if not controllers and split_gains(spec)[0] not in CONTROLLERS:
         raise InputError(f"{told}, sha256 {found['file_sha256']}: give that file")
     if len(controllers) > 1 or _origin(spec)["file_sha256"] != found["file_sha256"]:

@@ -470,7 +470,7 @@ def test_the_peak_within_a_period_is_that_of_shorter_ones(plant, period, dtype):
         for _ in range(points):
             fine.step(info["command_V"], np.zeros(2), period / points)
             peak = np.maximum(peak, np.abs(np.diff(fine.speed)[:, 0]) / RPM)
-        np.testing.assert_allclose(info["peak_difference_rpm"], peak, atol=0.15)
+        np.testing.assert_allclose(info["peak_difference_rpm"], peak, atol=0.05)
         assert (info["peak_difference_rpm"] >= np.abs(info["speed_difference_rpm"])).all()
         beyond = max(beyond, (info["peak_difference_rpm"] - np.abs(info["speed_difference_rpm"])).max())
     assert beyond > 10.0  # what the end of a period does not show

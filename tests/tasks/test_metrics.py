@@ -42,6 +42,18 @@ def test_command_travel_counts_the_first_move():
     assert scores["command_travel_per_s"] == scores["command_variation"] == pytest.approx(0.6)
 
 
+def test_valve_reversals_are_turns_of_a_hundredth_or_more():
+    """Valve 1 turns at 0.5 and back at 0.2, in small steps; valve 2 shakes by less."""
+    first = [0.0, 0.3, 0.5, 0.495, 0.485, 0.2, 0.2, 0.206, 0.215]
+    second = [0.0, 0.1, 0.095, 0.1, 0.095, 0.1, 0.095, 0.1, 0.095]
+    scores = compute(trace([(0, 0)] * 9, command=list(zip(first, second, strict=True))))
+    assert scores["valve_reversals_per_s"] == pytest.approx((2 + 0) / 2 / (9 * 0.5))
+    start = compute(trace([(0, 0)] * 3, command=[(-0.004, 0.3), (-0.008, 0.2), (-0.3, 0.3)]))
+    assert start["valve_reversals_per_s"] == pytest.approx(
+        (0 + 2) / 2 / (3 * 0.5)
+    )  # the first move is no turn
+
+
 def test_settling_time():
     """Rows 0.05 s apart, so that two rows together are back in step."""
     apart, together = (100, 80), (100, 95)
