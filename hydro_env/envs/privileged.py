@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..plant import PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
+from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
 from .observation import LIMIT, scales_on
 from .plants import PlantLike
@@ -29,7 +30,7 @@ def privileged_names(env: Any) -> tuple[str, ...]:
     """What the numbers of `info["privileged"]` are, of an environment made with `privileged=True`, single or many.
 
     What is drawn lies in [-1, 1] over its range, in the logarithm where it is drawn so: levels of the noise ("noise_speed", ...),
-    then parameters of the mismatch that the environment was made with, of both valves ("Kq_1", "Kq_2", ...). Then true speeds,
+    then parameters that have ranges in the mismatch that the environment was made with, of both valves ("Kq_1", "Kq_2", ...). Then true speeds,
     currents and pressure differences, scaled like the observation, spool positions ("spool_1", 1.0 for 1 mm) and loads
     ("load_1", 1.0 for the nominal torque; both on the paper's rig, on another one in proportion to its size). An FMU shows no
     spools. ValueError for an environment made without.
@@ -79,9 +80,13 @@ class Privileged:
 def _span(name: str, mismatch: Mismatch, model: PlantModel) -> tuple[Floats, Floats, bool]:
     """Least and largest value (2,) that a parameter is given, faults included; whether it is drawn in its logarithm."""
     ranges = [each[name] for each in (mismatch.ranges, *mismatch.faults.values()) if name in each]
+    if not ranges or (name in DERIVED and mismatch.rig):  # follows from others
+        return np.zeros(2), np.zeros(2), False
     ends = [each.scaled(name, np.array([end]), model)[0] for each in ranges for end in (each.low, each.high)]
     if name not in mismatch.ranges and np.isfinite(own := own_values(name, model)).all():
         ends.append(np.array(own))
+    if PACE in mismatch.rig and (power := power_of_pace(name)):
+        ends = [end * pace**power for end in ends for pace in mismatch.rig[PACE].ends]
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
     return low, high, bool(all(each.loguniform for each in ranges) and (low > 0.0).all())
 
@@ -89,7 +94,7 @@ def _span(name: str, mismatch: Mismatch, model: PlantModel) -> tuple[Floats, Flo
 def _share(value: Floats, low: Floats, high: Floats, logarithmic: bool = False) -> Floats:
     """Values (N, n), -1 at the low and 1 at the high end (n,); 0 where there is nothing between them."""
     if logarithmic:
-        value, low, high = np.log(value), np.log(low), np.log(high)
+        value, low, high = np.log(np.maximum(value, 1e-9 * low)), np.log(low), np.log(high)  # before the first reset 0
     return np.asarray((2.0 * value - low - high) / np.where(low < high, high - low, np.inf))
 
 

@@ -31,12 +31,13 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from ..errors import InputError, InputWarning, shown, suggestion
-from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of, scales_of
+from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Component, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked
+from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
 
 __all__ = [
     "NAMED_PAIRS", "OWN", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "default_mismatch",
@@ -170,7 +171,9 @@ class Mismatch:
     """A distribution of pairs.
 
     `cases` is the length of a fixed list (None: endless). `outside` are ranges of which at least one value of each pair
-    lies outside. `faults` maps the name of a fault to what its parameters become on one channel.
+    lies outside. `faults` maps the name of a fault to what its parameters become on one channel; without `healthy`, the share of
+    pairs that have none, pairs have the faults in turn. `rig` has the quantities by which whole rigs are drawn, or `pace` alone
+    (see `rigs`).
     """
 
     name: str
@@ -180,12 +183,15 @@ class Mismatch:
     outside: Mapping[str, Range] = field(default_factory=dict)
     faults: Mapping[str, Mapping[str, Range]] = field(default_factory=dict)
     summary: str = ""
+    rig: Mapping[str, Range] = field(default_factory=dict)
+    healthy: float | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that a pair of this mismatch may set."""
         of_faults = (name for fault in self.faults.values() for name in fault)
-        return tuple(dict.fromkeys((*self.ranges, *of_faults)))
+        of_rig = DERIVED if len(self.rig) > 1 else ()
+        return tuple(dict.fromkeys((*self.ranges, *of_rig, *of_faults)))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -196,7 +202,7 @@ class Mismatch:
     @property
     def random(self) -> bool:
         """Whether pairs are drawn at all, or are always the same."""
-        return bool(self.faults) or any(r.low != r.high for r in self.ranges.values())
+        return bool(self.faults or self.rig) or any(r.low != r.high for r in self.ranges.values())
 
     def case(self, seed: int, episode: int) -> int:
         """Number of the case that an episode of a seed meets, `seed` modulo the list in the first; -1 if endless."""
@@ -211,6 +217,10 @@ class Mismatch:
         own seed and episode, or its case.
         """
         count = len(seeds)
+        if self.rig and scales_of(model) != PAPER:
+            raise InputError(
+                f"mismatch {self.name!r} draws whole rigs in the units of the paper's: take the plant paper_dead_zone"
+            )
         if not self.random:
             still = np.zeros((count, 2))
             fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
@@ -232,15 +242,22 @@ class Mismatch:
             raise InputError(
                 f"mismatch {self.name!r}: of {MAX_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
             )
+        quantities = {name: values.pop(name) for name in self.rig}
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
-        if not self.faults:
-            return Pairs(values, ("",) * count)
-        return self._with_faults(values, streams, cases, model)
+        if len(self.rig) > 1:
+            values |= rig_values(quantities, values["Fs"], model)
+        fault = ("",) * count
+        if self.faults:
+            values, fault = self._with_faults(values, streams, cases, model)
+        if PACE in self.rig:
+            values |= paced(quantities[PACE], values, model)
+        return Pairs(values, fault)
 
     def _draw(self, streams: Streams, rows: NDArray[np.int64] | slice = slice(None)) -> dict[str, Floats]:
-        shares = streams.random((len(self.ranges), 2), rows)
+        ranges = {**self.rig, **self.ranges}
+        shares = streams.random((len(ranges), 2), rows)
         values: dict[str, Floats] = {}
-        for column, (name, each) in enumerate(self.ranges.items()):
+        for column, (name, each) in enumerate(ranges.items()):
             values[name] = each.value(_common(name, shares[:, column]), values)
         return values
 
@@ -252,12 +269,15 @@ class Mismatch:
 
     def _with_faults(
         self, values: dict[str, Floats], streams: Streams, cases: Sequence[int], model: PlantModel
-    ) -> Pairs:
+    ) -> tuple[dict[str, Floats], tuple[str, ...]]:
+        """The values with a fault in one channel, and the faults' names."""
         names = list(self.faults)
         for name in self.parameters:
             if name not in values:
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
-        chosen = (streams.random(1)[:, 0] * 2 * len(names)).astype(int) if cases[0] < 0 else cases
+        in_turn = self.healthy is None and cases[0] >= 0
+        chosen = cases if in_turn else (streams.random(1)[:, 0] * 2 * len(names)).astype(int)
+        sick = np.ones(len(cases), np.bool_) if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
         shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
         for row, number in enumerate(chosen):
@@ -265,14 +285,18 @@ class Mismatch:
             faulty: dict[str, Floats] = {}
             for (name, each), share in zip(self.faults[fault].items(), shares[row], strict=False):
                 faulty[name] = each.value(_common(name, share), faulty)
-                values[name][row, channel] = each.scaled(name, faulty[name], model)[0, channel]
-            drawn.append(fault)
-        return Pairs(values, tuple(drawn))
+                if sick[row]:
+                    of_rig = self.rig and isinstance(each.meant_for, float)  # which has a value of its own
+                    factor = values[name][row, channel] / each.meant_for if of_rig else 1.0
+                    changed = faulty[name] * factor if of_rig else each.scaled(name, faulty[name], model)
+                    values[name][row, channel] = changed[0, channel]
+            drawn.append(fault if sick[row] else "")
+        return values, tuple(drawn)
 
 
 def _common(name: str, share: Floats) -> Floats:
     """Shares (n, 2) of a range, of a parameter of the rig (n, 1): both channels have one value."""
-    return share[:, :1] if name in _rig_parameters() else share
+    return share[:, :1] if name in _rig_parameters() or name in QUANTITIES or name == PACE else share
 
 
 def own_values(name: str, model: PlantModel) -> tuple[float, float]:
@@ -367,6 +391,8 @@ class _SplitFile(FileTable):
     outside: str | None = None
     parameters: dict[str, Range]
     faults: dict[str, dict[str, Range]] = Field(default_factory=dict)
+    healthy: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None
+    rig: dict[str, Range] = Field(default_factory=dict)
 
 
 def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
@@ -401,6 +427,7 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
     _check_all(ranges, where)
     for fault, changed in given.faults.items():
         _check_all(changed, f"{where}: faults.{fault}")
+    _check_rig(given.rig, ranges, where)
     outside: dict[str, Range] = {}
     if given.outside is not None:
         if given.outside not in others:
@@ -410,7 +437,24 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
         outside = {key: bounds[key] for key in bounds if key in ranges}
         if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
             raise InputError(f"{where}: outside: no range reaches beyond those of {given.outside!r}")
-    return Mismatch(name, ranges, given.entropy, given.cases, outside, given.faults, given.summary)
+    return Mismatch(
+        name, ranges, given.entropy, given.cases, outside, given.faults, given.summary, given.rig, given.healthy
+    )
+
+
+def _check_rig(rig: Mapping[str, Range], ranges: Mapping[str, Range], where: str) -> None:
+    """InputError for quantities of a rig that are unknown, lacking or not above zero."""
+    for name, each in rig.items():
+        if name not in QUANTITIES and name != PACE:
+            raise InputError(f"{where}: rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}")
+        if min(each.low) <= 0.0:
+            raise InputError(f"{where}: rig: {name} should be above zero")
+    whole = rig.keys() - {PACE}
+    for name in QUANTITIES if whole else ():
+        if name not in rig:
+            raise InputError(f"{where}: rig: {name} is missing ({QUANTITIES[name]})")
+    if whole and "Fs" not in ranges:
+        raise InputError(f"{where}: rig: the bristles of the spool need a range of Fs among the parameters")
 
 
 def _unusual(name: str, given: Range) -> str:

@@ -12,6 +12,7 @@ import hydro_env  # noqa: F401 (registers the environments)
 from hydro_env.envs import HydraulicSyncVectorEnv, privileged_names
 from hydro_env.errors import InputError
 from hydro_env.tasks import SPLITS
+from hydro_env.tasks.rigs import DERIVED
 
 ID = "hydro_env:HydraulicSync-v0"
 IDS = ("HydraulicSync-v0", "HydraulicSyncIncrement-v0", "HydraulicSyncTraining-v0")
@@ -33,8 +34,11 @@ def test_what_is_drawn_is_told_between_minus_one_and_one(mismatch):
     _, info = env.reset(seed=0)
     names, told = privileged_names(env), info["privileged"]
     assert told.shape == (200, len(names)) and told.dtype == np.float32 and len({*names}) == len(names)
-    drawn = [n for n, name in enumerate(names) if name.rpartition("_")[0] in SPLITS[mismatch].parameters]
-    assert len(drawn) == 2 * len(SPLITS[mismatch].parameters)
+    split = SPLITS[mismatch]
+    with_range = {*split.ranges, *(name for fault in split.faults.values() for name in fault)}
+    with_range -= set(DERIVED) if split.rig else set()
+    drawn = [n for n, name in enumerate(names) if name.rpartition("_")[0] in with_range]
+    assert len(drawn) == 2 * len(with_range)
     healthy = told[:, drawn][told[:, drawn] != 2.0]  # 2 is a sensor that never sticks
     assert healthy.min() >= -1.0 and healthy.max() <= 1.0
     low, high = SPLITS[mismatch].ranges["Kq"].ends
