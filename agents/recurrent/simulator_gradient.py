@@ -1,11 +1,12 @@
 """The second stage: the gradient of the cost through the simulator (as in Xu et al., Accelerated policy learning with parallel
 differentiable simulation, 2022).
 
-How a rig's state after a control period depends on its state and its commands before is found by forward differences: copies
-of all rigs, each with one state or the commands shifted a little, are simulated beside them. The copies of a rig take the same
-steps, so that the choice of steps is in no difference (internal numerical differentiation, Bock 1981). Both channels are shifted
-at once, since neither acts on the other. With these slopes the cost of a window is differentiated by the network's weights:
-through plant, sensors and recurrent state, back to the window's beginning.
+How a rig's state after a control period depends on its state and on the commands that act in it is found by forward differences:
+copies of all rigs, each with one state or one command shifted a little, are simulated beside them. The copies of a rig take the
+same steps, so that the choice of steps is in no difference (internal numerical differentiation, Bock 1981). Both channels are
+shifted at once: what they do to each other within a period, through a drooping supply, is some per cent and left out. With these
+slopes the cost of a window is differentiated by the network's weights: through plant, delay line, sensors and recurrent state,
+back to the window's beginning. Which states are shifted is measured at the start (`felt_states`).
 
 A closed loop over many dead zones and stick-slips multiplies small changes without bound, so what is propagated back is bounded
 (`Bounded`): of each rig by a largest length, and the plant's part by a decay. There is no noise on the commands and no critic.
@@ -13,14 +14,15 @@ A closed loop over many dead zones and stick-slips multiplies small changes with
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from math import cos, exp, log, pi
+from copy import deepcopy
+from math import ceil, cos, exp, log, pi
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.autograd.function import Function, FunctionCtx, once_differentiable
+from torch.autograd.function import Function, once_differentiable
 
 from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN, Rigs
@@ -28,7 +30,6 @@ from agents.recurrent.settings import MILLION, Gradient, Settings
 from hydro_env.envs.observation import OBSERVATION, SCALES
 from hydro_env.plant import Plant
 from hydro_env.plant.plant import BLOCKS
-from hydro_env.tasks.mismatch import SENSOR_PARAMETERS
 from hydro_env.units import RPM
 
 __all__ = ["GradientStage", "Slopes"]
@@ -36,19 +37,14 @@ __all__ = ["GradientStage", "Slopes"]
 SPEED, CURRENT, PRESSURE = (
     float(SCALES[OBSERVATION.index(f"{name}_1")]) for name in ("speed", "current", "pressure")
 )
-SHIFTS = {
-    "current": (CURRENT, 0.005),
-    "spool": (200e-6, 0.005),
-    "spool_speed": (0.04, 0.01),
-    "pressure": (PRESSURE, 0.005),
-    "speed": (SPEED, 0.005),
-    "magnetic_hysteresis__loop": (1.0, 0.005),
-    "sensor_lag__lagged_speed": (SPEED, 0.005),
-}
-"""States: what 1 stands for, SI, and by how much of it they are shifted. The bristle of the spool's friction moves it by less
-than a micrometre, and the supply, which droops for both channels, moves little within a period."""
-SETTLED = 2.0
-"""Time constants after which a state is forgotten: an eighth of it is left."""
+FELT = 0.05
+"""A state counts if a change of its usual size moves a speed, or its reading, by more than this share of the usual one."""
+AHEAD, STARTS = 6, 5
+"""Periods within which that is to be felt, and the times of a random drive at which it is tried."""
+USUAL = 0.5
+"""Largest command of that drive, of the rated one."""
+STEP = 0.005
+"""By which states are shifted, of their usual size."""
 SHIFT = 0.03
 """By which the commands are shifted: of the rated one, up or down by chance. A spool that sticks does not follow a smaller shift
 (friction is up to 2.7 % of the rated command), although a policy that changes moves it sooner or later."""
@@ -60,86 +56,117 @@ INTEGRAL, PROPORTIONAL, SMOOTHED = 0.01, 1.0, 0.05
 excess adds while it lasts, and how much of the newest excess is taken into that."""
 
 
-def lasting(plant: Plant, period: float) -> dict[str, tuple[float, float]]:
-    """The entries of `SHIFTS` whose change is still felt after a control period (s) on this plant."""
-    get = plant.get
-    constants = {"current": get("L") / get("R"), "pressure": get("V") / (get("beta") * get("Km"))}
-    if "sensor_lag" in plant.effects:
-        constants["sensor_lag__lagged_speed"] = get("sensor_lag.time_constant")
-    settled = {name for name, constant in constants.items() if SETTLED * constant.max() <= period}
-    absent = {name for name in SHIFTS if "__" in name and name.partition("__")[0] not in plant.effects}
-    return {name: shift for name, shift in SHIFTS.items() if name not in settled | absent}
+def copies_of(plant: Plant, block: int) -> tuple[Plant, NDArray[np.int64]]:
+    """Copies of all rigs that take the same steps, a block to a rig, and the rig of each."""
+    of = np.repeat(np.arange(plant.num_rigs), block)
+    twins = Plant(
+        plant.model, len(of), effects=plant.effects, tolerance=plant.tolerance,
+        dtype=plant.memory.dtype, block=block, grouped=True,
+    )  # fmt: skip
+    twins.take_state(plant, of, parameters=True)
+    return twins, of
+
+
+def felt_states(rigs: Rigs, stream: np.random.Generator) -> dict[str, float]:
+    """The states whose changes are felt, the most felt one first, with their usual sizes (root of the mean square, SI). The angle
+    is left out: nobody steers its phase."""
+    rigs = deepcopy(rigs)
+    plant, n, command = rigs.plant, rigs.num_rigs, np.zeros((rigs.num_rigs, 2))
+
+    def drive() -> None:
+        np.copyto(command, stream.uniform(-USUAL, USUAL, (n, 2)), where=stream.random((n, 2)) < 0.3)
+        rigs.step(command)
+
+    squares = dict.fromkeys((name for name in plant.states if name != "angle"), 0.0)
+    for _ in range(STARTS * AHEAD):
+        drive()
+        for name in squares:
+            squares[name] += np.square(plant.get(name)).mean() / (STARTS * AHEAD)
+    sizes = {name: float(np.sqrt(square)) for name, square in squares.items() if square > 0.0}
+    felt, pairs = dict.fromkeys(sizes, 0.0), {name: copies_of(plant, 2) for name in sizes}
+    for t in range(STARTS * AHEAD):
+        for name, (twins, of) in pairs.items() if t % AHEAD == 0 else ():
+            twins.take_state(plant, of)
+            twins.shift(name, STEP * sizes[name], slice(1, None, 2))
+        drive()
+        for name, (twins, of) in pairs.items():
+            twins.step(plant.get("command")[of], plant.get("load")[of], rigs.env.control_period)
+            for seen in ("speed", "measured_speed"):
+                moved = np.diff(twins.get(seen).reshape(n, 2, 2), axis=1) / (STEP * sizes["speed"])
+                felt[name] = max(felt[name], float(np.sqrt(np.square(moved).mean())))
+    return {name: sizes[name] for name in sorted(felt, key=lambda name: -felt[name]) if felt[name] > FELT}
 
 
 class Slopes:
-    """Forward differences of a control period, on copies of a plant's rigs."""
+    """Forward differences of a control period, on copies of the rigs: first of each rig as it is, then with each state shifted,
+    then with each command that may act in the period: the newest one, and those on their way, `commands` in all."""
 
-    def __init__(self, plant: Plant, period: float, stream: np.random.Generator) -> None:
-        self._plant, self._period, self._stream, n = plant, period, stream, plant.num_rigs
-        self._shifts = lasting(plant, period)
-        self._scales = {name: scale for name, (scale, _) in self._shifts.items()} | READINGS
+    def __init__(self, rigs: Rigs, stream: np.random.Generator) -> None:
+        self._rigs, self._stream = rigs, stream
+        self.commands = 1 + ceil(rigs.plant.delay.max() / rigs.env.control_period - 1e-6)
+        sizes = felt_states(rigs, stream)
+        self.states = list(sizes)[: BLOCKS[-1] - 1 - self.commands]
+        self._scales = {name: sizes[name] for name in self.states} | {"speed": SPEED} | READINGS
         columns = list(self._scales)
         self.speed, self.readings = columns.index("speed"), [columns.index(name) for name in READINGS]
-        # A block to a rig: first it as it is, then with each state shifted, then with its commands shifted.
-        self._block = min(size for size in BLOCKS if size > len(self._shifts) + 1)
-        self._rows = np.repeat(np.arange(n), self._block)
-        self._twins = Plant(
-            plant.model, n * self._block, effects=plant.effects, tolerance=plant.tolerance,
-            dtype=plant.memory.dtype, block=self._block, grouped=True,
-        )  # fmt: skip
+        self._shifts = len(self.states) + self.commands
+        self._block = min(size for size in BLOCKS if size > self._shifts)
+        self._twins, self._of = copies_of(rigs.plant, self._block)
 
-    def match(self, names: Iterable[str]) -> None:
-        """Gives the copies their rigs' own parameters of these names; sensors have no part in it."""
-        for name in names:
-            if name not in SENSOR_PARAMETERS:
-                self._twins.set(name, self._plant.get(name)[self._rows])
+    def match(self) -> None:
+        """Gives the copies their rigs' parameters."""
+        self._twins.take_state(self._rigs.plant, self._of, parameters=True)
 
     def before(self) -> None:
         """Puts the copies beside their rigs, which stand at the beginning of a period."""
-        self._twins.take_state(self._plant, self._rows)
-        for k, (name, (scale, shift)) in enumerate(self._shifts.items(), 1):
-            self._twins.shift(name, scale * shift, slice(k, None, self._block))
+        plant, twins, last = self._rigs.plant, self._twins, len(self.states) + 1
+        self._up = self._stream.choice([-SHIFT, SHIFT], (plant.num_rigs, 2))
+        self._more = self._up * plant.get("u_rated")
+        twins.take_state(plant, self._of)
+        for k, name in enumerate(self.states, 1):
+            twins.shift(name, STEP * self._scales[name], slice(k, None, self._block))
+        for ago in range(1, self.commands):
+            twins.shift_sent(ago, self._more, slice(last + ago, None, self._block))
 
     def after(self) -> tuple[Tensor, Tensor]:
         """The scaled states and readings (num_rigs, 2, columns) of the rigs, which have gone through the period, and their slopes
-        by what was shifted, (copies, num_rigs, 2, columns): by the states, which are the first columns, and by the commands."""
-        plant, last = self._plant, len(self._shifts) + 1
-        up = self._stream.choice([-SHIFT, SHIFT], (plant.num_rigs, 2))
-        command = plant.get("command")[self._rows]
-        command[last :: self._block] += up * plant.get("u_rated")
-        self._twins.step(command, plant.get("load")[self._rows], self._period)
-        states = self.columns(plant)
+        by what was shifted, (shifts, num_rigs, 2, columns): by the states, which are the first columns, and by the commands, the
+        newest first."""
+        plant, states = self._rigs.plant, len(self.states)
+        command = plant.get("command")[self._of]
+        command[states + 1 :: self._block] += self._more
+        self._twins.step(command, plant.get("load")[self._of], self._rigs.env.control_period)
         moved = self.columns(self._twins).unflatten(0, (-1, self._block)).transpose(0, 1)
-        slopes = moved[1 : last + 1] - moved[0]
-        for k, (_, shift) in enumerate(self._shifts.values()):
-            slopes[k] /= shift
-        slopes[-1] /= torch.from_numpy(up.astype(np.float32))[..., None]
-        return states, slopes
+        slopes = moved[1 : self._shifts + 1] - moved[0]
+        slopes[:states] /= STEP
+        slopes[states:] /= torch.from_numpy(self._up.astype(np.float32))[..., None]
+        return self.columns(), slopes
 
     def columns(self, plant: Plant | None = None) -> Tensor:
         """Scaled states and readings of all rigs, (num_rigs, 2, columns)."""
-        get = (plant or self._plant).get
+        get = (plant or self._rigs.plant).get
         return torch.from_numpy(
             np.stack([get(name) / scale for name, scale in self._scales.items()], axis=-1).astype(np.float32)
         )
 
 
 class Period(Function):
-    """The states after a period, whose gradient by the states and commands before is that of the slopes."""
+    """The states after a period, whose gradient by the states before and the commands (commands, N, 2) is that of the slopes."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, before: Tensor, command: Tensor, after: Tensor, slopes: Tensor) -> Tensor:
+    def forward(ctx: Any, before: Tensor, commands: Tensor, after: Tensor, slopes: Tensor) -> Tensor:
         ctx.save_for_backward(slopes)
+        ctx.states = len(slopes) - len(commands)
         return after.clone()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None, None]:
         (slopes,) = ctx.saved_tensors
-        by = (slopes * gradient).sum(-1)  # (copies, N, 2)
+        by = (slopes * gradient).sum(-1)  # (shifts, N, 2)
         before = torch.zeros_like(gradient)
-        before[..., : len(by) - 1] = by[:-1].permute(1, 2, 0)
-        return before, by[-1], None, None
+        before[..., : ctx.states] = by[: ctx.states].permute(1, 2, 0)
+        return before, by[ctx.states :], None, None
 
 
 class Bounded(Function):
@@ -167,8 +194,7 @@ class GradientStage:
         stream = np.random.default_rng([settings.training.seed, 1, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self._slopes = Slopes(self.rigs.plant, self.rigs.env.control_period, stream)
-        self._slopes.match(self.rigs.env.pairs)
+        self._slopes = Slopes(self.rigs, stream)
         self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0
         # beside the optimiser's own state, so that it is in the checkpoint
@@ -189,7 +215,7 @@ class GradientStage:
         costs = parts * torch.tensor([1.0, weight, 1.0])
         begun = self.rigs.next_window()
         self._state[begun] = 0.0
-        self._slopes.match(self.rigs.env.pairs)
+        self._slopes.match()
         self.optimiser.zero_grad(set_to_none=True)
         # summed over rigs, so that bounds on one rig's gradient do not depend on how many there are
         ((costs.sum() + s.notes * notes) * s.rigs).backward()
@@ -220,6 +246,7 @@ class GradientStage:
         before = torch.from_numpy(rigs.before)
         valves = torch.from_numpy(rigs.valves().astype(np.float32))
         total, notes = torch.zeros(3), torch.zeros(())
+        under_way = [sent] * self._slopes.commands
         for t in range(s.window):
             setpoint = rigs.observation[:, :1] * (SCALES[0] / RPM)
             if t > 0:
@@ -232,7 +259,8 @@ class GradientStage:
             notes = notes + (policy.note(state)[:, :KNOWN] - valves).square().mean()
             self._slopes.before()
             rigs.step(commands.detach().numpy())
-            plant = Period.apply(plant, commands, *self._slopes.after())
+            under_way = [commands, *under_way[:-1]]
+            plant = Period.apply(plant, torch.stack(under_way), *self._slopes.after())
             speed = TO_RPM * plant[..., self._slopes.speed]
             total = total + _costs(s, speed, torch.from_numpy(setpoint), commands - sent)
             sent, before = commands, seen

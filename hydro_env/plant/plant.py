@@ -234,6 +234,14 @@ class Plant:
         block, lane = self._lanes(rows)
         self._by_channel(self._memory)[block, row, :, lane] += np.asarray(by, float)
 
+    def shift_sent(self, ago: int, by: ArrayLike, rows: slice) -> None:
+        """Adds `by` (V), a number or (number of rows, 2), to the command of some rigs that was sent so many rows of commands ago
+        (1: the last one) and may still be on its way, within what the valves take."""
+        block, lane = self._lanes(rows)
+        sent = self._by_channel(self._ring)[:, (self._head + 1 - ago) % self._ring.shape[1]]
+        rated = self.get("u_rated")[rows]
+        sent[block, :, lane] = (sent[block, :, lane] + by).clip(-rated, rated)
+
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), to rest at time zero."""
@@ -252,9 +260,11 @@ class Plant:
         nothing = self._empty[:, 0]
         self._advance(nothing, nothing, 1.0)
 
-    def take_state(self, other: Plant, rows: NDArray[np.int64] | None = None) -> None:
+    def take_state(
+        self, other: Plant, rows: NDArray[np.int64] | None = None, parameters: bool = False
+    ) -> None:
         """Puts all rigs into the state of another plant's, which may have another tolerance and dtype; rig i into that of the
-        other's rig `rows[i]`, where given.
+        other's rig `rows[i]`, where given. `parameters`: gives them their parameters as well.
 
         ValueError if there are not as many, or other effects.
         """
@@ -266,7 +276,7 @@ class Plant:
             self._ring = np.zeros((len(self._memory), slots, 2 * kernel.half))
             self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
-        moving = kernel.rows["load"] + 1
+        moving = kernel.num_rows if parameters else kernel.rows["load"] + 1
         if rows is None and kernel.half == other._kernel.half:
             self._memory[:, :moving] = other._memory[:, :moving]
             if kernel.has_delay:
@@ -381,7 +391,12 @@ class Plant:
         self.turn(command_V.shape[0])
 
     @property
-    def _states(self) -> tuple[str, ...]:
+    def delay(self) -> Array:
+        """By how much the commands are late, (num_rigs, 2), s."""
+        return sum(map(self.get, self._delays), np.zeros((self.num_rigs, 2)))
+
+    @property
+    def states(self) -> tuple[str, ...]:
         """Names of the states, which come first in the memory."""
         return tuple(name for name, row in self._kernel.rows.items() if row < self._kernel.rows["time"])
 
@@ -423,7 +438,7 @@ class Plant:
                 int(rig),
                 int(channel) + 1,
                 float(times[rig, channel]),
-                self._states[int(numbers[rig, channel]) - 1],
+                self.states[int(numbers[rig, channel]) - 1],
             )
             for rig, channel in np.argwhere(numbers > 0.0)
         ]

@@ -22,12 +22,11 @@ from agents.recurrent.imitation import NOTES, ImitationStage, Teacher
 from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN, Rigs
 from agents.recurrent.settings import Gradient, Settings, read_settings
-from agents.recurrent.simulator_gradient import GradientStage, lasting
+from agents.recurrent.simulator_gradient import GradientStage, Period, Slopes
 from agents.speed import measure, summary
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant
 
 ROOT = Path(__file__).parents[2]
 SHORT = """
@@ -106,13 +105,26 @@ def test_windows_hold_whole_episodes():
     assert (begun == 1).all()
 
 
-def test_shifted_are_the_states_that_last_a_period():
-    """Coil and pressure of the paper's plant settle within a millisecond; the coil of `rig` takes 6, its hoses 24."""
-    always = {"spool", "spool_speed", "speed"}
-    assert set(lasting(Plant("paper_dead_zone"), 0.01)) == always
-    on_rig = always | {"current", "pressure", "magnetic_hysteresis__loop"}
-    assert set(lasting(Plant("rig"), 0.01)) == on_rig
-    assert set(lasting(Plant("rig"), 0.005)) == on_rig | {"sensor_lag__lagged_speed"}
+HEATED = {"base": "train", "coil_heating.rise": 0.25}
+LATE = {"base": "train", "command_delay.delay": {"uniform": [0.0, 0.02]}, "sensor_lag.time_constant": 0.005}
+ALWAYS = {"spool", "spool_speed", "speed"}
+OF_RIG = ALWAYS | {"current", "pressure", "magnetic_hysteresis__loop", "sensor_lag__lagged_speed"}
+
+
+@pytest.mark.parametrize(
+    ("plant", "mismatch", "states", "commands"),
+    [
+        ("paper_dead_zone", HEATED, ALWAYS, 1),
+        ("paper_dead_zone", LATE, ALWAYS | {"sensor_lag__lagged_speed"}, 3),
+        ("rig", "train", OF_RIG, 1),
+    ],
+)
+def test_shifted_are_the_states_that_last_and_the_commands_on_their_way(plant, mismatch, states, commands):
+    """Coil and pressure of the paper's plant settle within a millisecond, and coils warm up within minutes; the coil of `rig`
+    takes 6 ms, its hoses 24."""
+    rigs = Rigs(Settings(env={"plant": plant, "mismatch": mismatch}), 64, 30, seed=1)
+    slopes = Slopes(rigs, np.random.default_rng(0))
+    assert set(slopes.states) == states and slopes.commands == commands
 
 
 DRY = "magnetic_hysteresis.amplitude", "motor_coulomb_friction.coulomb", "motor_coulomb_friction.static"
@@ -132,8 +144,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
     env = {"plant": name, "mismatch": "train"}
     stage = GradientStage(Settings(gradient=whole, env=env), policy, 0)
     plant = stage.rigs.env.plant
-    changed = ("Fc", "Fs", *dry)
-    for each in changed:
+    for each in ("Fc", "Fs", *dry):
         plant.set(each, 0.02 * plant.get(each))
     for t in range(60):  # valves open to one side: no dead zone on the way
         stage.rigs.step(np.full((64, 2), min(0.4, 0.02 * t)))
@@ -141,13 +152,12 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
 
     def cost():
         stage.rigs.env, stage._state = copy.deepcopy(begun), state
-        stage._slopes._plant = stage.rigs.env.plant
         stage.rigs.observation = stage.rigs.before = begun._history.frames.copy()
         return (stage._drive()[0] * torch.tensor([1.0, whole.tracking, 1.0])).sum()
 
     with torch.no_grad():
         policy.act.bias.fill_(0.4)
-    stage._slopes.match([*stage.rigs.env.pairs, *changed])
+    stage._slopes.match()
     cost().backward()
     slopes = []
     for channel in (0, 1):
@@ -159,6 +169,45 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
                 policy.act.bias[channel] -= change
         slopes.append((found[0] - found[1]) / (2.0 * by))
     np.testing.assert_allclose(policy.act.bias.grad, slopes, atol=0.15 * np.abs(slopes).max())
+
+
+MANY = {
+    **LATE, "supply_droop.relative_drop": 0.5, "magnetic_hysteresis.amplitude": 0.1, "coil_heating.rise": 0.25,
+    "coil_heating.time_constant": 2.0, "entrained_air.fraction": 0.02, "crossport_relief.relief_pressure": 3e6,
+    "crossport_relief.time_constant": 0.01,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("plant", ["paper_dead_zone", "rig"])
+def test_what_a_delayed_command_does_within_a_window(plant):
+    """The slopes, one after the other, say what the first of six commands does to the speeds shown at the end, on plants with a
+    delay line and memory of many kinds: as central differences of whole windows do."""
+    rigs = Rigs(Settings(env={"plant": plant, "mismatch": MANY}), 64, 30, seed=1)
+    for name in ("Fc", "Fs"):
+        rigs.plant.set(name, 0.02 * rigs.plant.get(name))
+    slopes = Slopes(rigs, np.random.default_rng(0))
+    for t in range(60):  # valves open to one side, and open further: no dead zone and no reversal
+        rigs.step(np.full((64, 2), min(0.4, 0.02 * t)))
+    begun, opening = copy.deepcopy(rigs.env), 0.4 + 0.06 * np.arange(1, 7)
+
+    def shown(by):
+        rigs.env = copy.deepcopy(begun)
+        for t, command in enumerate(opening):
+            rigs.step(np.full((64, 2), command + by * (t == 0)))
+        return slopes.columns()[..., slopes.readings[0]]
+
+    expected = (shown(0.02) - shown(-0.02)) / 0.04
+    rigs.env = copy.deepcopy(begun)
+    commands = torch.tensor(opening, dtype=torch.float32)[:, None, None].repeat(1, 64, 2).requires_grad_()
+    state, sent = slopes.columns(), [torch.full((64, 2), 0.4)] * slopes.commands
+    for t in range(6):
+        slopes.before()
+        rigs.step(commands[t].detach().numpy())
+        sent = [commands[t], *sent[:-1]]
+        state = Period.apply(state, torch.stack(sent), *slopes.after())
+    state[..., slopes.readings[0]].sum().backward()
+    apart = (commands.grad[0] - expected).square().mean().sqrt()
+    assert apart < 0.15 * expected.square().mean().sqrt()
 
 
 @pytest.mark.parametrize(("bound", "grows"), [(1.0, True), (1000.0, False)])

@@ -481,3 +481,18 @@ def test_a_shift_moves_one_state_of_the_rigs_that_are_meant():
     assert all((plant.get(name) == before[name]).all() for name in STATES if name != "spool")
     with pytest.raises(KeyError, match="no state"):
         plant.shift("Kq", 1.0, slice(None))
+
+
+def test_a_command_on_its_way_can_be_shifted_in_the_rigs_that_are_meant():
+    plants = [Plant("paper", 40, effects=["command_delay"]) for _ in range(2)]
+    for plant, commands in zip(plants, ((0.3, 0.5, 0.5), (0.3, 0.3, 0.5)), strict=True):
+        plant.set("command_delay.delay", 0.02)
+        for command in commands:
+            plant.step(command * plant.get("u_rated"), 0.0, 0.01)
+    plants[1].shift_sent(2, 0.2 * plants[1].get("u_rated")[20:30], slice(20, 30))
+    plants[1].shift_sent(1, 1e6, slice(30, 40))  # no more than the valves take
+    for plant in plants:
+        plant.run(np.ones((3, 2)), None, 0.01)
+    same = (plants[0].speed == plants[1].speed).all(axis=1)
+    assert same[20:30].all() and not same[:20].any() and not same[30:].any()
+    assert np.isfinite(plants[1].speed).all()
