@@ -240,7 +240,7 @@ class Plant:
         block, lane = self._lanes(rows)
         sent = self._by_channel(self._ring)[:, (self._head + 1 - ago) % self._ring.shape[1]]
         rated = self.get("u_rated")[rows]
-        sent[block, :, lane] = (sent[block, :, lane] + by).clip(-rated, rated)
+        sent[block, :, lane] = np.clip(sent[block, :, lane] + np.asarray(by, float), -rated, rated)
 
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:
@@ -393,7 +393,7 @@ class Plant:
     @property
     def delay(self) -> Array:
         """By how much the commands are late, (num_rigs, 2), s."""
-        return sum(map(self.get, self._delays), np.zeros((self.num_rigs, 2)))
+        return np.sum([np.zeros((self.num_rigs, 2)), *map(self.get, self._delays)], axis=0)
 
     @property
     def states(self) -> tuple[str, ...]:
