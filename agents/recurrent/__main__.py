@@ -21,6 +21,7 @@ import platform
 import sys
 import time
 from pathlib import Path
+from statistics import geometric_mean
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from tqdm import tqdm
 from agents.recurrent.imitation import NOTES, ImitationStage
 from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN
-from agents.recurrent.settings import MILLION, Settings, read_settings
+from agents.recurrent.settings import MILLION, Settings, Training, read_settings
 from agents.recurrent.simulator_gradient import GradientStage
 from hydro_env.errors import InputError, run_command
 from hydro_env.files import naming, write_bytes
@@ -101,12 +102,11 @@ class Run:
         }  # fmt: skip
         candidate = self.out / ".candidate.npz"
         write_policy(candidate, self.mean.arrays(), about)
-        scores = evaluate(candidate, training.pairs, self.settings.env)
-        score = (
-            scores["max_speed_difference_rpm"]
-            + training.tracking_weight * scores["tracking_mae_rpm"]
-            + training.tail_weight * scores["max_speed_difference_rpm_p95"]
-        )
+        of_groups = [evaluate(candidate, training.pairs, env) for env, _ in self.settings.driven]
+        scores = of_groups[0]
+        for n, other in enumerate(of_groups[1:], 2):
+            scores |= {f"{key}_{n}": value for key, value in other.items()}
+        score = geometric_mean(_score(scores, training) for scores in of_groups)
         times = {key: round(progress[key], 1) for key in ("seconds", "cpu_seconds")}
         progress["curve"].append(
             {"steps": self.periods, "stage": progress["stage"], **times, "score": score, **scores}
@@ -177,11 +177,25 @@ def _train_stage(run: Run, name: str, shown: Any) -> None:
             scores = run.evaluate()
             run.optimiser = stage.optimiser.state_dict()
             run.save()
-            shown.write(
-                f"{run.periods / MILLION:.1f} M periods, {run.progress['seconds']:.0f} s: largest difference"
-                f" {scores['max_speed_difference_rpm']:.1f} rpm (p95 {scores['max_speed_difference_rpm_p95']:.1f}),"
-                f" tracking error {scores['tracking_mae_rpm']:.1f} rpm"
+            ends = ["", *(f"_{n}" for n in range(2, len(run.settings.driven) + 1))]
+            told = (
+                f"{scores[f'max_speed_difference_rpm{e}']:.1f} at {scores[f'tracking_mae_rpm{e}']:.1f} rpm"
+                f" (p95 {scores[f'max_speed_difference_rpm_p95{e}']:.0f})"
+                for e in ends
             )
+            shown.write(
+                f"{run.periods / MILLION:.1f} M periods, {run.progress['seconds']:.0f} s: largest difference at tracking error "
+                + ", ".join(told)
+            )
+
+
+def _score(scores: dict[str, float], training: Training) -> float:
+    """What an evaluation is chosen by, rpm."""
+    return (
+        scores["max_speed_difference_rpm"]
+        + training.tracking_weight * scores["tracking_mae_rpm"]
+        + training.tail_weight * scores["max_speed_difference_rpm_p95"]
+    )
 
 
 def _versions() -> dict[str, str]:

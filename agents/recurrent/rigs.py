@@ -26,10 +26,12 @@ class Rigs:
     rigs end their episodes in different windows, so that a window holds every phase of an episode and no episode ends within
     one."""
 
-    def __init__(self, settings: Settings, num_rigs: int, window: int, seed: int) -> None:
+    def __init__(
+        self, settings: Settings, num_rigs: int, window: int, seed: int, env: dict[str, Any] | None = None
+    ) -> None:
         self.env = HydraulicSyncVectorEnv(
             num_rigs,
-            **settings.env,
+            **(env or settings.env),
             tolerance_rpm=settings.training.tolerance_rpm or None,
             scenario=TRAINING,
             dtype="float32",

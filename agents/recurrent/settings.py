@@ -67,7 +67,10 @@ class Gradient:
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
     bound: float = setting(
-        30.0, "rpm", "of the mean tracking error, up to which it may pay for the difference", HAND
+        30.0, "rpm", "of the median tracking error, up to which it may pay for the difference; 0: none", HAND
+    )
+    relative: float = setting(
+        0.1, "1", "cost of a period of a rig from which on it counts relatively, not in full", HAND
     )
     tracking: float = setting(0.0015, "1/rpm", "weight of the tracking error at the start", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
@@ -98,14 +101,21 @@ class Training:
 
 @dataclass(frozen=True)
 class Settings:
-    """A training file; `env` are arguments of the environment, `text` the file itself."""
+    """A training file; `env` are arguments of the environment, `text` the file itself. `groups` are the rigs of the second stage
+    where it has other ones: arguments of the environment and settings of each."""
 
     network: Sizes = field(default_factory=Sizes)
     imitation: Imitation = field(default_factory=Imitation)
     gradient: Gradient = field(default_factory=Gradient)
     training: Training = field(default_factory=Training)
     env: dict[str, Any] = field(default_factory=ENV.copy)
+    groups: tuple[tuple[dict[str, Any], Gradient], ...] = ()
     text: str = ""
+
+    @property
+    def driven(self) -> tuple[tuple[dict[str, Any], Gradient], ...]:
+        """Arguments of the environment and settings for each group of rigs of the second stage."""
+        return self.groups or ((self.env, self.gradient),)
 
 
 def read_settings(path: Path) -> Settings:
@@ -113,23 +123,38 @@ def read_settings(path: Path) -> Settings:
     text = read_text(path, "a training file in YAML", max_bytes=MAX_BYTES_OF_YAML)
     data = parse_yaml(text, str(path))
     tables = {"network": Sizes, "imitation": Imitation, "gradient": Gradient, "training": Training}
-    if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
-        raise InputError(f"{path}: should hold the tables {', '.join((*tables, 'env'))}")
+    groups = data.pop("groups", []) if isinstance(data, dict) else []
+    if not isinstance(data, dict) or not all(isinstance(table, dict) for table in (*data.values(), *groups)):
+        raise InputError(f"{path}: should hold the tables {', '.join((*tables, 'env'))}, and perhaps a list of groups")
     for key in data:
         if key not in (*tables, "env"):
-            raise InputError(f"{path}: unknown key {key!r}: {suggestion(key, [*tables, 'env'])}")
-    env = {**ENV, **data.get("env", {})}
-    for key in env:
-        if key not in ENV:
-            raise InputError(f"{path}: env: unknown key {key!r}: {suggestion(key, ENV)}")
+            raise InputError(f"{path}: unknown key {key!r}: {suggestion(key, [*tables, 'env', 'groups'])}")
+    env = _env(data.get("env", {}), ENV, f"{path}: ")
     read: dict[str, Any] = {
         key: from_table(kind, data.get(key, {}), f"{path}: {key}: ") for key, kind in tables.items()
     }
-    for name in ("imitation", "gradient"):
+    own = []
+    for number, group in enumerate(groups, 1):
+        where = f"{path}: group {number}: "
+        others = {key: value for key, value in group.items() if key != "env"}
+        settings = from_table(Gradient, {**data.get("gradient", {}), **others}, where)
+        for key in ("periods", "window", "rate"):
+            if key in others:
+                raise InputError(f"{where}{key} is the same for all groups: it belongs to gradient")
+        own.append((_env(group.get("env", {}), env, where), settings))
+    for name, each in (("imitation", read["imitation"]), *(("gradient", g) for _, g in [*own, (env, read["gradient"])])):
         for key in ("rigs", "window"):
-            if getattr(read[name], key) < 1:
+            if getattr(each, key) < 1:
                 raise InputError(f"{path}: {name}: {key} should be at least 1")
-    return Settings(**read, env=env, text=text)
+    return Settings(**read, env=env, groups=tuple(own), text=text)
+
+
+def _env(given: Mapping[str, Any], default: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Arguments of the environment."""
+    for key in given:
+        if key not in ENV:
+            raise InputError(f"{where}env: unknown key {key!r}: {suggestion(key, ENV)}")
+    return {**default, **given}
 
 
 def from_table(kind: type[S], table: Mapping[str, Any], where: str = "") -> S:

@@ -186,42 +186,38 @@ class Bounded(Function):
 
 
 class GradientStage:
-    """`window()` drives one window and learns from it; `done` counts control periods of single rigs."""
+    """`window()` drives one window of every group of rigs and learns from them; `done` counts control periods of single rigs."""
 
     def __init__(self, settings: Settings, policy: RecurrentPolicy, done: int) -> None:
         s = self.settings = settings.gradient
         self.policy, self.done, self.total = policy, done, int(s.periods * MILLION)
         stream = np.random.default_rng([settings.training.seed, 1, done])
-        self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
+        self.groups = [Group(settings, env, own, policy, stream) for env, own in settings.driven]
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self._slopes = Slopes(self.rigs, stream)
-        self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0
         # beside the optimiser's own state, so that it is in the checkpoint
-        self.optimiser.param_groups[0].update(integral=log(s.tracking), excess=0.0)
-
-    @property
-    def weight(self) -> float:
-        """Of the tracking error, 1/rpm: a Lagrange multiplier with a proportional part, which damps it (Stooke, Achiam and
-        Abbeel, Responsive safety in reinforcement learning by PID Lagrangian methods, 2020)."""
-        kept = self.optimiser.param_groups[0]
-        return exp(kept["integral"] + PROPORTIONAL * kept["excess"])
+        integrals = [log(group.settings.tracking) for group in self.groups]
+        self.optimiser.param_groups[0].update(integral=integrals, excess=[0.0] * len(integrals))
 
     def window(self) -> dict[str, float]:
         """Returns the mean costs of a period: speed difference, tracking error in rpm, travel; the notes' loss on the valves; and
-        the weight of tracking."""
-        s, weight = self.settings, self.weight
-        parts, notes = self._drive()
-        costs = parts * torch.tensor([1.0, weight, 1.0])
-        begun = self.rigs.next_window()
-        self._state[begun] = 0.0
-        self._slopes.match()
+        the weight of tracking; of each group, numbered from the second on."""
+        s, kept = self.settings, self.optimiser.param_groups[0]
         self.optimiser.zero_grad(set_to_none=True)
-        # summed over rigs, so that bounds on one rig's gradient do not depend on how many there are
-        ((costs.sum() + s.notes * notes) * s.rigs).backward()
+        rigs, found = sum(group.rigs.num_rigs for group in self.groups), {}
+        for n, group in enumerate(self.groups):
+            # A Lagrange multiplier with a proportional part, which damps it (Stooke, Achiam and Abbeel, Responsive safety in
+            # reinforcement learning by PID Lagrangian methods, 2020).
+            weight = exp(kept["integral"][n] + PROPORTIONAL * kept["excess"][n])
+            said = group.learn(weight)
+            bound = group.settings.bound
+            excess = min(said["tracking"] / bound - 1.0, 1.0) if bound else 0.0
+            kept["excess"][n] += SMOOTHED * (excess - kept["excess"][n])
+            kept["integral"][n] += INTEGRAL * excess
+            found |= {f"{key}{n + 1}" if n else key: value for key, value in {**said, "weight": weight}.items()}
         for each in self.policy.parameters():
             assert each.grad is not None  # the heads have one as well
-            each.grad /= s.rigs * s.window
+            each.grad /= rigs * s.window
         size = nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
         warm = min(1.0, (self._updates + 1) / 30.0)  # Adam knows nothing of the gradients' size yet
         fraction = min(1.0, self.done / self.total)
@@ -230,22 +226,47 @@ class GradientStage:
         if torch.isfinite(size):
             self.optimiser.step()
         self._updates += 1
-        self.done += s.window * s.rigs
-        means = (torch.cat([parts, notes[None]]).detach() / s.window).tolist()
-        said = dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
-        kept, excess = self.optimiser.param_groups[0], min(said["tracking"] / s.bound - 1.0, 1.0)
-        kept["excess"] += SMOOTHED * (excess - kept["excess"])
-        kept["integral"] += INTEGRAL * excess
-        return {**said, "weight": weight}
+        self.done += s.window * rigs
+        return found
+
+
+class Group:
+    """Rigs of one kind, driven in windows."""
+
+    def __init__(
+        self, settings: Settings, env: dict[str, Any], own: Gradient, policy: RecurrentPolicy, stream: np.random.Generator
+    ) -> None:
+        self.settings, self.policy = own, policy
+        self.rigs = Rigs(settings, own.rigs, own.window, int(stream.integers(2**40)), env)
+        self._slopes = Slopes(self.rigs, stream)
+        self._state = torch.zeros(own.rigs, policy.units)
+
+    def learn(self, weight: float) -> dict[str, float]:
+        """Drives a window and adds the gradient of its cost to that of the network's weights, summed over rigs, so that bounds on
+        one rig's gradient do not depend on how many there are. Returns the mean costs of a period, of tracking the median: that of
+        rigs with a fault says nothing."""
+        s = self.settings
+        parts, notes = self._drive()
+        costs = (parts * torch.tensor([1.0, weight, 1.0])).sum(1)
+        begun = self.rigs.next_window()
+        self._state[begun] = 0.0
+        self._slopes.match()
+        # Rigs on which more is possible count in full, the others relative to what they cost.
+        shared = s.relative * torch.log1p(costs / s.relative)
+        (s.window * (shared.sum() + s.notes * notes * s.rigs)).backward()
+        parts = parts.detach()
+        found = [parts[:, 0].mean(), parts[:, 1].median(), parts[:, 2].mean(), notes.detach()]
+        return dict(zip(("difference", "tracking", "travel", "valves"), torch.stack(found).tolist(), strict=True))
 
     def _drive(self) -> tuple[Tensor, Tensor]:
-        """The costs (3,) of a window, see `_costs`, and the notes' loss, which can be differentiated by the network's weights."""
+        """The mean costs (num_rigs, 3) of a period, see `_costs`, and the mean loss of the notes, which can be differentiated by the
+        network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
         before = torch.from_numpy(rigs.before)
         valves = torch.from_numpy(rigs.valves().astype(np.float32))
-        total, notes = torch.zeros(3), torch.zeros(())
+        total, notes = torch.zeros(s.rigs, 3), torch.zeros(())
         under_way = [sent] * self._slopes.commands
         for t in range(s.window):
             setpoint = rigs.observation[:, :1] * (SCALES[0] / RPM)
@@ -265,7 +286,7 @@ class GradientStage:
             total = total + _costs(s, speed, torch.from_numpy(setpoint), commands - sent)
             sent, before = commands, seen
         self._state = state.detach().clone()
-        return total, notes
+        return total / s.window, notes / s.window
 
     def _seen(self, plant: Tensor, sent: Tensor) -> Tensor:
         """The observation (N, 9), which moves with the states and commands it was taken from."""
@@ -276,10 +297,10 @@ class GradientStage:
 
 
 def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
-    """The costs (3,) of a period, tracking without its weight: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the
+    """The costs (N, 3) of a period, tracking without its weight: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the
     commands."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
     beyond = s.corner * (2.0 * apart - s.corner)
-    difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
-    tracking = (speed - setpoint).abs().mean()
-    return torch.stack([s.difference * difference, tracking, s.travel * move.abs().mean()])
+    difference = torch.where(apart < s.corner, apart**2, beyond) / 100.0
+    tracking = (speed - setpoint).abs().mean(1)
+    return torch.stack([s.difference * difference, tracking, s.travel * move.abs().mean(1)], 1)

@@ -286,10 +286,10 @@ class Mismatch:
             for (name, each), share in zip(self.faults[fault].items(), shares[row], strict=False):
                 faulty[name] = each.value(_common(name, share), faulty)
                 if sick[row]:
-                    of_rig = self.rig and isinstance(each.meant_for, float)  # which has a value of its own
-                    factor = values[name][row, channel] / each.meant_for if of_rig else 1.0
-                    changed = faulty[name] * factor if of_rig else each.scaled(name, faulty[name], model)
-                    values[name][row, channel] = changed[0, channel]
+                    changed = each.scaled(name, faulty[name], model)[0, channel]
+                    if len(self.rig) > 1 and name in DERIVED:  # the rig has a value of its own
+                        changed *= values[name][row, channel] / model.pair(name)[channel]
+                    values[name][row, channel] = changed
             drawn.append(fault if sick[row] else "")
         return values, tuple(drawn)
 
