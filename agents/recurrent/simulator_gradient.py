@@ -99,11 +99,13 @@ def felt_states(rigs: Rigs, stream: np.random.Generator) -> dict[str, float]:
 
 class Slopes:
     """Forward differences of a control period, on copies of the rigs: first of each rig as it is, then with each state shifted,
-    then with each command that may act in the period: the newest one, and those on their way, `commands` in all."""
+    then with each command that may act in the period: the newest one, and those on their way, `commands` in all (half a block at
+    most)."""
 
     def __init__(self, rigs: Rigs, stream: np.random.Generator) -> None:
         self._rigs, self._stream = rigs, stream
-        self.commands = 1 + ceil(rigs.plant.delay.max() / rigs.env.control_period - 1e-6)
+        periods = ceil(rigs.plant.delay.max() / rigs.env.control_period - 1e-6)
+        self.commands = min(1 + periods, BLOCKS[-1] // 2)
         sizes = felt_states(rigs, stream)
         self.states = list(sizes)[: BLOCKS[-1] - 1 - self.commands]
         self._scales = {name: sizes[name] for name in self.states} | {"speed": SPEED} | READINGS
