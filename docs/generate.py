@@ -59,6 +59,8 @@ from hydro_env.practice.hidden import SEVERITIES
 from hydro_env.practice.recorder import SENSORS
 from hydro_env.practice.reference.forms import CONSTANTS
 from hydro_env.tasks import METRICS, SCENARIOS
+from hydro_env.tasks.mismatch import SENSOR_PARAMETERS
+from hydro_env.tasks.rigs import QUANTITIES
 from hydro_env.units import BAR, RPM, UNITS
 
 HERE = Path(__file__).parent
@@ -308,18 +310,35 @@ def _drawn(value: Any) -> str:
 
 
 def splits() -> str:
-    """Ranges of the parameters that each split draws, independently for each valve."""
-    found = _yaml(hydro_env.tasks, "splits.yaml")["splits"]
-    names = list(dict.fromkeys(name for split in found.values() for name in split["parameters"]))
-    rows = [["pairs", *(split.get("cases", "unlimited") for split in found.values())]]
-    for name in names:
-        unit = _unit(parameter_of(name).unit)
-        cells = [
-            _drawn(split["parameters"][name]) if name in split["parameters"] else ""
-            for split in found.values()
-        ]
-        rows.append([f"`{name}`" + (f", {unit}" if unit else ""), *cells])
-    return _table(["parameter", *(f"`{name}`" for name in found)], rows)
+    """Ranges of what each split draws; splits of the same ranges share a column."""
+    found: dict[str, tuple[str, dict[str, Any]]] = {}
+    for name, split in _yaml(hydro_env.tasks, "splits.yaml")["splits"].items():
+        ranges = {"pairs": split.get("cases", "unlimited"), **split["parameters"]}
+        ranges |= {f"rig: {key}": value for key, value in split.get("rig", {}).items()}
+        shown = {key: str(value) if key == "pairs" else _drawn(value) for key, value in ranges.items()}
+        same = repr({key: value for key, value in shown.items() if key != "pairs"})
+        if same in found:
+            title, before = found[same]
+            title, shown["pairs"] = f"{title}, `{name}`", f"{before['pairs']}, {shown['pairs']}"
+        else:
+            title = f"`{name}`"
+        found[same] = title, shown
+    columns = dict(found.values())
+    rows = []
+    for key in dict.fromkeys(key for shown in columns.values() for key in shown):
+        rows.append([_with_unit(key), *(shown.get(key, "") for shown in columns.values())])
+    return _table(["parameter", *columns], rows)
+
+
+def _with_unit(name: str) -> str:
+    """A parameter of a split, with its unit or meaning."""
+    if name == "pairs":
+        return name
+    if name.startswith("rig: "):
+        quantity = name.removeprefix("rig: ")
+        return f"`{quantity}`: {QUANTITIES.get(quantity, 'how many times as slow everything is')}"
+    unit = "" if name in SENSOR_PARAMETERS else _unit(parameter_of(name).unit)
+    return f"`{name}`" + (f", {unit}" if unit else "")
 
 
 def faults() -> str:

@@ -22,7 +22,8 @@ KNOWN = 6
 
 
 class Rigs:
-    """`observation` (num_rigs, 9) is the newest, `before` the one a period earlier (the same where an episode begins). Groups of
+    """`observation` (num_rigs, 9) is the newest, `before` the one a period earlier (the same where an episode begins), `healthy`
+    (num_rigs,) says which rigs have no fault. Groups of
     rigs end their episodes in different windows, so that a window holds every phase of an episode and no episode ends within
     one."""
 
@@ -41,8 +42,8 @@ class Rigs:
         if steps % window:
             raise InputError(f"window {window}: an episode of {steps} periods should be a multiple of it")
         self._groups, self._windows = steps // window, 0
-        self.observation, _ = self.env.reset(seed=seed)
-        self.before = self.observation.copy()
+        self.observation, info = self.env.reset(seed=seed)
+        self.before, self.healthy = self.observation.copy(), info["fault"] == ""
 
     @property
     def num_rigs(self) -> int:
@@ -76,6 +77,7 @@ class Rigs:
         ended = np.arange(self.num_rigs) % self._groups == self._windows % self._groups
         if not ended.any():  # fewer rigs than groups
             return np.flatnonzero(ended)
-        self.observation, _ = self.env.reset(options={"reset_mask": ended})
+        self.observation, info = self.env.reset(options={"reset_mask": ended})
+        self.healthy = info["fault"] == ""
         self.before = np.where(ended[:, None], self.observation, self.before)
         return np.flatnonzero(ended)

@@ -67,7 +67,7 @@ class Gradient:
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
     bound: float = setting(
-        30.0, "rpm", "of the median tracking error, up to which it may pay for the difference; 0: none", HAND
+        30.0, "rpm", "of the mean tracking error, up to which it may pay for the difference; 0: none", HAND
     )
     relative: float = setting(
         0.1, "1", "cost of a period of a rig from which on it counts relatively, not in full", HAND

@@ -245,20 +245,19 @@ class Group:
 
     def learn(self, weight: float) -> dict[str, float]:
         """Drives a window and adds the gradient of its cost to that of the network's weights, summed over rigs, so that bounds on
-        one rig's gradient do not depend on how many there are. Returns the mean costs of a period, of tracking the median: that of
-        rigs with a fault says nothing."""
+        one rig's gradient do not depend on how many there are. Returns the mean costs of a period on rigs without a fault."""
         s = self.settings
         parts, notes = self._drive()
         costs = (parts * torch.tensor([1.0, weight, 1.0])).sum(1)
+        healthy = torch.from_numpy(self.rigs.healthy)
         begun = self.rigs.next_window()
         self._state[begun] = 0.0
         self._slopes.match()
         # Rigs on which more is possible count in full, the others relative to what they cost.
         shared = s.relative * torch.log1p(costs / s.relative)
         (s.window * (shared.sum() + s.notes * notes * s.rigs)).backward()
-        parts = parts.detach()
-        found = [parts[:, 0].mean(), parts[:, 1].median(), parts[:, 2].mean(), notes.detach()]
-        return dict(zip(("difference", "tracking", "travel", "valves"), torch.stack(found).tolist(), strict=True))
+        found = [*parts.detach()[healthy].mean(0).tolist(), notes.item()]
+        return dict(zip(("difference", "tracking", "travel", "valves"), found, strict=True))
 
     def _drive(self) -> tuple[Tensor, Tensor]:
         """The mean costs (num_rigs, 3) of a period, see `_costs`, and the mean loss of the notes, which can be differentiated by the

@@ -95,7 +95,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `plant`: preset, YAML file, mapping or `PlantModel`. Default `paper_dead_zone`.
     * `scenario`: a name of `hydro_env.tasks.SCENARIOS`, step tables (see there) or a `Scenario`. Default
       `random_steps`.
-    * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`), a named pair (`paper_pair`), a YAML
+    * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`; `train_robust` with delays, other control
+      periods, noise and faults; `train_any`, `val_any`, `test_any` of whole rigs), a named pair (`paper_pair`), a YAML
       file or mapping of parameters to ranges or values, or `own` (None) for the plant's own pair. Default `auto`: `own`
       for a plant file that sets itself what `train` draws (`Kq`, a dead zone, ...), else `train`.
     * `control_period`: s, default 0.01.

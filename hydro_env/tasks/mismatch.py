@@ -83,7 +83,7 @@ class Range(FileTable):
     """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
     (`uniform`) or evenly in its logarithm (`loguniform`).
 
-    `at_most` names a parameter drawn before that lowers the upper end. `meant_for` says for which plant the range holds, on
+    `at_most` names a parameter drawn before that lowers the upper end. `common`: both valves have the same value. `meant_for` says for which plant the range holds, on
     others what is drawn is scaled: "paper" for the paper's rig, by the size of the plant (`Scales`); a number is the value of the
     plant's own parameter, which is divided by it.
     """
@@ -92,6 +92,7 @@ class Range(FileTable):
     uniform: _Ends | None = None
     loguniform: _Ends | None = None
     at_most: str | None = None
+    common: bool = False
     meant_for: Literal["paper"] | Annotated[Number, Field(gt=0.0)] | None = None
 
     @model_validator(mode="before")
@@ -129,6 +130,8 @@ class Range(FileTable):
     def value(self, share: Floats, drawn: Mapping[str, Floats]) -> Floats:
         """Values (n, 2) for shares (n, 2) or (n, 1) in [0, 1) of the range, given the parameters `drawn` before."""
         low, high = np.array(self.low), np.array(self.high)
+        if self.common:
+            share = share[:, :1].repeat(share.shape[1], axis=1)
         if (low == high).all():
             return np.broadcast_to(low, (len(share), 2)).copy()
         if self.at_most is not None:

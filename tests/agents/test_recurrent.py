@@ -56,6 +56,7 @@ def test_the_shipped_recipe_is_valid_and_small(name):
     policy = RecurrentPolicy((sizes.inputs, sizes.recurrent, sizes.outputs), KNOWN + NOTES)
     assert sum(array.size for array in policy.arrays().values()) <= 50_000
     assert settings.env["mismatch"] == "train"
+    assert {env["mismatch"] for env, _ in settings.driven} <= {"train", "train_robust", "train_any"}
 
 
 @pytest.mark.parametrize(
@@ -67,6 +68,9 @@ def test_the_shipped_recipe_is_valid_and_small(name):
         ("rigs: 16, window: 20", "rigs: 0, window: 20", "gradient: rigs should be at least 1"),
         ("plant:", "plan:", "env: unknown key 'plan'"),
         ("recurrent: 12", "recurrent: many", "recurrent 'many' should be a number"),
+        ("training:", "groups: [{window: 10}]\ntraining:", "group 1: window is the same for all groups"),
+        ("training:", "groups: [{}, {env: {plan: rig}}]\ntraining:", "group 2: env: unknown key 'plan'"),
+        ("training:", "groups: [{bond: 3}]\ntraining:", "group 1: 'bond' is unknown: did you mean 'bound'"),
     ],
 )
 def test_a_wrong_training_file_is_named_in_one_line(tmp_path, old, new, says):
@@ -142,7 +146,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
     )  # fmt: skip
     policy = policy_of()
     env = {"plant": name, "mismatch": "train"}
-    stage = GradientStage(Settings(gradient=whole, env=env), policy, 0)
+    (stage,) = GradientStage(Settings(gradient=whole, env=env), policy, 0).groups
     plant = stage.rigs.env.plant
     for each in ("Fc", "Fs", *dry):
         plant.set(each, 0.02 * plant.get(each))
@@ -153,7 +157,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
     def cost():
         stage.rigs.env, stage._state = copy.deepcopy(begun), state
         stage.rigs.observation = stage.rigs.before = begun._history.frames.copy()
-        return (stage._drive()[0] * torch.tensor([1.0, whole.tracking, 1.0])).sum()
+        return (stage._drive()[0] * torch.tensor([1.0, whole.tracking, 1.0])).mean(0).sum()
 
     with torch.no_grad():
         policy.act.bias.fill_(0.4)
@@ -219,6 +223,28 @@ def test_the_weight_of_tracking_follows_its_bound(tmp_path, bound, grows):
     assert weights == sorted(weights, reverse=not grows) and weights[0] != weights[-1]
 
 
+def test_groups_learn_as_one(tmp_path):
+    """The gradient of two groups is the mean of their own, by their numbers of rigs; each has a weight of tracking."""
+    groups = "groups: [{rigs: 8, bound: 1.0}, {rigs: 16, bound: 1000.0, env: {mismatch: train_robust}}]\ntraining:"
+    stage = GradientStage(settings_of(tmp_path, SHORT.replace("training:", groups)), policy_of(), 0)
+    assert [group.rigs.env.mismatch.name for group in stage.groups] == ["train", "train_robust"]
+    said = [stage.window() for _ in range(3)]
+    assert stage.done == 3 * 20 * 24
+    assert said[0]["weight"] < said[2]["weight"] and said[0]["weight2"] > said[2]["weight2"]
+
+
+def test_a_rig_that_nobody_can_steer_does_not_drown_the_others(tmp_path):
+    """Twice the cost of a rig far beyond the bound is worth no more than a little of the others'."""
+    stage = GradientStage(settings_of(tmp_path), policy_of(), 0).groups[0]
+    found = {}
+    for size in (1.0, 100.0):
+        stage._drive = lambda size=size: (size * scale.exp()[:, None].repeat(1, 3), torch.zeros(()))
+        scale = torch.zeros(16, requires_grad=True)
+        stage.learn(0.01)
+        found[size] = scale.grad.mean().item()
+    assert found[100.0] < 1.2 * found[1.0]
+
+
 @pytest.mark.parametrize("law", [True, False])
 def test_imitation_lowers_the_error_of_the_commands(tmp_path, law):
     settings = settings_of(tmp_path)
@@ -239,11 +265,11 @@ def test_a_run_scores_saves_and_goes_on(tmp_path):
     with pytest.raises(InputError, match="--resume"):
         train(settings, out, bar=False)
     assert train(settings, out, resume=True, bar=False).periods == 12_800
-    kept = whole.optimiser["param_groups"][0]["integral"]
+    (kept,) = whole.optimiser["param_groups"][0]["integral"]
     assert kept > np.log(Gradient().tracking)
     longer = settings_of(tmp_path, SHORT.replace("gradient: {periods: 0.0064", "gradient: {periods: 0.0096"))
     after = train(longer, out, resume=True, bar=False)
-    assert after.optimiser["param_groups"][0]["integral"] > kept  # goes on: half the periods alone bring less
+    assert after.optimiser["param_groups"][0]["integral"][0] > kept  # goes on: half the periods alone bring less
     assert after.periods == 16_000 and len(after.progress["curve"]) == 5
     assert json.loads((out / "curve.json").read_text()) == after.progress["curve"]
     (out / "checkpoint.pt").write_bytes((out / "checkpoint.pt").read_bytes()[:1000])
