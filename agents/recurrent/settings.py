@@ -70,7 +70,7 @@ class Gradient:
         30.0, "rpm", "of the mean tracking error, up to which it may pay for the difference; 0: none", HAND
     )
     relative: float = setting(
-        0.1, "1", "cost of a period of a rig from which on it counts relatively, not in full", HAND
+        1.0, "1", "cost of a period of a rig from which on it counts relatively, not in full", HAND
     )
     tracking: float = setting(0.0015, "1/rpm", "weight of the tracking error at the start", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)

@@ -51,6 +51,8 @@ SHIFT = 0.03
 READINGS = {"measured_speed": SPEED, "current": CURRENT, "pressure": PRESSURE}
 """What the sensors show, and what 1 stands for: the middle of an observation, two columns each."""
 TO_RPM = SPEED / RPM
+SMOOTHED_COST = 0.1
+"""How much of the cost of the newest window is taken into what is usual for a rig: a few windows make up an episode."""
 INTEGRAL, PROPORTIONAL, SMOOTHED = 0.01, 1.0, 0.05
 """Of the logarithm of the tracking error's weight: what a relative excess over the bound adds in an update, what the smoothed
 excess adds while it lasts, and how much of the newest excess is taken into that."""
@@ -242,6 +244,7 @@ class Group:
         self.rigs = Rigs(settings, own.rigs, own.window, int(stream.integers(2**40)), env)
         self._slopes = Slopes(self.rigs, stream)
         self._state = torch.zeros(own.rigs, policy.units)
+        self._usual = torch.zeros(own.rigs)  # cost of a period of each rig, smoothed
 
     def learn(self, weight: float) -> dict[str, float]:
         """Drives a window and adds the gradient of its cost to that of the network's weights, summed over rigs, so that bounds on
@@ -250,12 +253,13 @@ class Group:
         parts, notes = self._drive()
         costs = (parts * torch.tensor([1.0, weight, 1.0])).sum(1)
         healthy = torch.from_numpy(self.rigs.healthy)
+        # Rigs on which little is possible, as with a faulty sensor, would drown the others.
+        share = s.relative / (s.relative + self._usual)
+        (s.window * ((share * costs).sum() + s.notes * notes * s.rigs)).backward()
+        self._usual += SMOOTHED_COST * (costs.detach() - self._usual)
         begun = self.rigs.next_window()
-        self._state[begun] = 0.0
+        self._state[begun], self._usual[begun] = 0.0, self._usual.mean()
         self._slopes.match()
-        # Rigs on which more is possible count in full, the others relative to what they cost.
-        shared = s.relative * torch.log1p(costs / s.relative)
-        (s.window * (shared.sum() + s.notes * notes * s.rigs)).backward()
         found = [*parts.detach()[healthy].mean(0).tolist(), notes.item()]
         return dict(zip(("difference", "tracking", "travel", "valves"), found, strict=True))
 
