@@ -312,7 +312,9 @@ def test_a_search_says_how_far_it_came(tmp_path):
     few = Search(Task("pid", scenarios=("setpoint_steps",)), cases=1, episodes=72, progress=False)
     found = tune.run(tmp_path, few)
     tuning, text = found["tuning"], tune.summary(found)
-    assert tuning["cost"] <= tuning["start"] < tuning["at_rest"]  # shipped gains are among the last candidates
+    assert (
+        tuning["cost"] <= tuning["start"] < tuning["at_rest"]
+    )  # shipped gains are among the last candidates
     assert tuning["judged_on"] == 4 and tuning["episodes"] == 72
     assert "with motors at rest" in text and "hardly better" not in text and "ended" not in text
     worse = {**tuning, "cost": tuning["at_rest"], "at_end_of_range": {"Kp": 0}}
@@ -335,7 +337,11 @@ def test_tuning_all_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
         tune.run_all(tmp_path / "new/gains", names=wanted)
     assert [path.name for path in (tmp_path / "new/gains").iterdir()] == ["pid_tuned.json"]
     found = tune.run_all(tmp_path / "new/gains", names=wanted)
-    periods = [(0.01, False), (0.005, True), (0.02, True)]  # the first from nothing, the others from its gains
+    periods = [
+        (0.01, False),
+        (0.005, True),
+        (0.02, True),
+    ]  # the first from nothing, the others from its gains
     plants = [("paper_dead_zone", *each) for each in periods], [("servo", *each) for each in periods]
     assert searched == [*plants[0], *plants[1][:2], *plants[1]]
     assert found["pid_tuned"] == read_gains(tmp_path / "new/gains/pid_tuned.json")

@@ -44,6 +44,8 @@ FINALISTS = 6
 AT_END = 0.01
 """Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"
+ROOM = 10.0
+"""Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need."""
 
 
 @dataclass(frozen=True)
@@ -113,17 +115,18 @@ def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[st
     """
     task = _checked(wanted)
     law, generations = law_of(task.law), wanted.episodes // wanted.generation - 1
-    first = _latin_hypercube(_bounds(law), np.random.default_rng(wanted.seed))
+    bounds = _bounds(law, known)
+    first = _latin_hypercube(bounds, np.random.default_rng(wanted.seed))
     for row, gains in enumerate(known, 1):
-        first[row] = _genes(law, gains)
+        first[row] = _genes(law, gains, bounds)
     bar = tqdm(
         total=(generations + 1) * wanted.generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
         disable=not wanted.progress,
     )  # fmt: skip
-    trials = _Trials(wanted, task, law, bar)
+    trials = _Trials(wanted, task, law, bounds, bar)
     with bar, _users_errors():
         found = differential_evolution(
-            trials.costs, _bounds(law), init=first, maxiter=generations - 1,
+            trials.costs, bounds, init=first, maxiter=generations - 1,
             rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
@@ -135,7 +138,9 @@ def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[st
     sizes = {gain.name: gain.size(size) for gain in law.GAINS}
     told["trials"] = POPULATION * found.nfev  # SciPy counts generations
     told["episodes"] = (found.nfev + 1) * wanted.generation
-    told["at_end_of_range"] = {name: end for name, end in _ends(law, best).items() if name in found_gains}
+    told["at_end_of_range"] = {
+        name: end for name, end in _ends(law, best, bounds).items() if name in found_gains
+    }
     return {
         "gains": {key: float(f"{value * sizes[key]:.4g}") for key, value in found_gains.items()},
         "tuning": _account(wanted, task, generations, known) | told,
@@ -149,6 +154,7 @@ class _Trials:
     wanted: Search
     task: Task
     law: type[Controller]
+    bounds: Floats
     bar: tqdm
     lowest: list[float] = field(default_factory=list)
 
@@ -172,7 +178,7 @@ class _Trials:
         """The best of the last generation (candidates, gains) on other pairs, and what there is to tell: what it, the first of
         the `known` gains and motors at rest cost there, and what the last quarter of the search has gained.
         """
-        first = [_genes(self.law, gains) for gains in known[:1]]
+        first = [_genes(self.law, gains, self.bounds) for gains in known[:1]]
         order = np.argsort(costs, kind="stable")[: FINALISTS - len(first)]
         genes = np.array([*population[order], *first])
         begin = self.wanted.seed + self.wanted.cases
@@ -206,9 +212,9 @@ def _short(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _ends(law: type[Controller], genes: Floats) -> dict[str, float]:
+def _ends(law: type[Controller], genes: Floats, bounds: Floats) -> dict[str, float]:
     """Gains that lie at an end of the range that is searched, with the share of the range they lie at: 0 or 1."""
-    low, high = _bounds(law).T
+    low, high = bounds.T
     shares = dict(zip((gain.name for gain in law.GAINS), (genes - low) / (high - low), strict=True))
     return {name: round(share) for name, share in shares.items() if abs(share - round(share)) < AT_END}
 
@@ -273,10 +279,16 @@ def drive(plant: str) -> tuple[float, float]:
     return round(float(speed[0] / RPM), 2), round(float(speed[1] / RPM), 2)
 
 
-def _bounds(law: type[Controller]) -> Floats:
+def _bounds(law: type[Controller], known: Sequence[Mapping[str, float]]) -> Floats:
     """Where to search, (gains, 2): the logarithm of gains on a logarithmic scale."""
-    rows = [(gain.low, gain.high) if not gain.log else (log(gain.low), log(gain.high)) for gain in law.GAINS]
-    return np.array(rows)
+
+    def of(gain: Gain) -> tuple[float, float]:
+        if not gain.log:
+            return gain.low, gain.high
+        low = min(gain.low, *(gains.get(gain.name, inf) / ROOM for gains in known), inf)
+        return log(low), log(gain.high)
+
+    return np.array([of(gain) for gain in law.GAINS])
 
 
 def _values(law: type[Controller], genes: Floats) -> Floats:
@@ -284,15 +296,15 @@ def _values(law: type[Controller], genes: Floats) -> Floats:
     return np.stack([np.exp(x) if gain.log else x for gain, x in zip(law.GAINS, genes, strict=True)])
 
 
-def _genes(law: type[Controller], gains: Mapping[str, float]) -> Floats:
+def _genes(law: type[Controller], gains: Mapping[str, float], bounds: Floats) -> Floats:
     """What the search works with for known gains, (gains,); one that is left out at the end of its range next to its default."""
 
     def of(gain: Gain) -> float:
         value = gains.get(gain.name, gain.default)
-        value = min(max(inf if value is None else value, gain.low), gain.high)
+        value = inf if value is None else value
         return log(value) if gain.log else value
 
-    return np.array([of(gain) for gain in law.GAINS])
+    return np.clip([of(gain) for gain in law.GAINS], *bounds.T)
 
 
 def _latin_hypercube(bounds: Floats, rng: np.random.Generator) -> Floats:
