@@ -29,11 +29,20 @@ from hydro_env.plant.scales import rated
 
 __all__ = ["leaks", "settings_of", "units_of"]
 
-SHARES = {"damp": 0.4, "track": 0.33, "couple": 0.5, "lead": 0.7, "rate": 0.3, "rise": 0.2, "push": 0.85}
+SHARES = {
+    "settle": 0.2,
+    "damp": 0.4,
+    "track": 0.33,
+    "couple": 0.5,
+    "lead": 0.7,
+    "rate": 0.3,
+    "rise": 0.2,
+    "push": 0.85,
+}
 """Shares of what is possible that are used: of the damping, of the largest feedback on both errors, of the delay that the speed
 difference is predicted over, of the motor's own rate for the reference and for the rise of flow, and of the supply's pressure.
 Set on drawn rigs."""
-GENTLE = 1.5
+GENTLE = 5.0
 """Rated speeds a second that no reference exceeds; set on drawn rigs."""
 RINGS = 0.3
 """Damping ratio of a spool below which commands are averaged."""
@@ -93,6 +102,7 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
         probing=PROBING,
         crossing=CROSSING,
         feedback=FeedbackSettings(
+            settle=SHARES["settle"] * min(settles, 1.0 / late),
             track=min(SHARES["track"] * most, 30.0), couple=min(SHARES["couple"] * most, 60.0), delay=late,
             lead=SHARES["lead"] * late / 0.01, late=0.78,
         ),
