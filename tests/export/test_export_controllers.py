@@ -307,7 +307,7 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     gains = (
         {"Kp": 0.3, "Ki": 0.5}
         if law.endswith("Mine")
-        else {**make_controller("cross_coupled").gains, "Kp": 0.04}
+        else {**make_controller("cross_coupled", slew=3000.0).gains, "Kp": 0.04}
     )
     write_gains(
         "größe_1.json", GainsFile(controller=law, gains={key: float(value) for key, value in gains.items()})
