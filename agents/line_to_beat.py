@@ -175,8 +175,7 @@ def ladder(out: Path, pairs: int) -> None:
     for rung, (what, kwargs) in LADDER.items():
         row = [f"`{rung}`: {what}", f"`{_arguments(kwargs)}`" if kwargs else "none"]
         for name in ON_THE_LADDER:
-            own = "probing_flow_rig" if name == "probing_flow" and rung == "rig" else name
-            driver = Still() if name == "zero commands" else make_controller(own)
+            driver = Still() if name == "zero commands" else make_controller(name)
             scores = drive([driver], range(pairs), SCENARIOS[:1], **scored_pairs(kwargs))
             row.append(f"{np.mean(scores[SCENARIOS[0]][RETURN]):.0f}")
         rows.append(row)

@@ -283,18 +283,6 @@ def gains() -> str:
     return _table(["controller", "gains at 10 ms"], rows)
 
 
-def searches() -> str:
-    """Cost on the 200 pairs after a search on few pairs and after one on many, from the gains files."""
-    rows = []
-    for name, entry in CONTROLLERS.items():
-        if entry.file is None or entry.file.suffix != ".json":
-            continue
-        found = json.loads(entry.file.read_text(encoding="utf-8"))["tuning"].get("searches", [])
-        if len(found) == 2:
-            rows.append([f"`{name}`", *(f"{each['cost_rpm']:.1f}" for each in found)])
-    return _table(["controller", "search on 12 pairs, rpm", "search on 200 pairs, rpm"], rows)
-
-
 # --- task -------------------------------------------------------------------------------------------------------------
 def _yaml(package: Any, name: str) -> Any:
     return yaml.safe_load((Path(package.__file__).parent / name).read_text(encoding="utf-8"))
@@ -926,7 +914,7 @@ PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
-        controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, batch, packages,
+        controllers, gains, law_settings, splits, faults, scenarios, metrics, suites, environment, batch, packages,
         observation, reward, episodes, threshold,
         diagnosis_stages,
         diagnosis_settings, commands, log_columns, units, scores, scores_short,

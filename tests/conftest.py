@@ -20,7 +20,6 @@ LONG = (
     "test_cli.py::test_a_command_that_is_told_to_end_leaves_nothing",
     "test_cli.py::test_hide_writes_logs_and_truth",
     "test_close_loop.py",
-    "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",
     "test_demo.py",
     "test_diagnosis_uncertainty.py",
     "test_diagnosis_dynamic_rig.py::test_the_fits_numbers_are_near_those_of_the_proof",

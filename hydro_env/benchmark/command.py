@@ -28,7 +28,7 @@ from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.result import check_protocol, read_declared, write_results
 from hydro_env.benchmark.statistics import normalised, probability_of_improvement
 from hydro_env.benchmark.suite import Suite, load_suite
-from hydro_env.benchmark.tuned import tuned
+from hydro_env.benchmark.tuned import tuned, warn_of_others
 from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.controllers.user_files import controllers_in
 from hydro_env.errors import InputError
@@ -101,6 +101,7 @@ def run(
             specs, conditions.plant, own=[*chosen.splits] == [OWN], period=conditions.control_period, folder=Path(gains),
             engine=engine, jobs=jobs, progress=progress,
         )  # fmt: skip
+    warn_of_others(specs, conditions.plant)
     cells = list(cells_of(specs, chosen, trust))
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hydro_env.controllers.registry import CONTROLLERS, law_of
+from hydro_env.controllers.registry import CONTROLLERS, law_of, source_of
 from hydro_env.controllers.tuning.gains import read_gains
-from hydro_env.controllers.tuning.search import Search, Task
+from hydro_env.controllers.tuning.search import Search, Task, drive
 from hydro_env.controllers.tuning.tune import run as tune
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 from hydro_env.parallel import Failure
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model, preset_names
 
-__all__ = ["tuned"]
+__all__ = ["tuned", "warn_of_others"]
 
 SEED = 10_000
 """Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with."""
@@ -82,3 +83,17 @@ def tuned(
         if isinstance(result, Failure):
             raise InputError(f"{job.name} cannot be tuned for {plant}: {result}; --as-shipped does without")
     return [str(jobs_of[s].path) if isinstance(s, str) and s in jobs_of else s for s in specs], [*jobs_of]
+
+
+def warn_of_others(specs: Sequence[Any], plant: Any) -> None:
+    """InputWarning for each gains file that was tuned on a plant which drives otherwise."""
+    if not isinstance(plant, str | Path):
+        return
+    for path in filter(None, (source_of(spec) for spec in specs if isinstance(spec, str))):
+        found = read_gains(path) if path.suffix == ".json" else None
+        known = found.tuning.get("plant_drive_rpm") if found else None
+        if found and known and not found.plant and known != list(drive(str(plant))):
+            message = f"{path}: tuned on {found.tuning.get('plant')}, which drives otherwise than {plant}"
+            warnings.warn(
+                f"{message}; hydro-env tune --plant {plant} finds gains for it", InputWarning, stacklevel=2
+            )

@@ -19,7 +19,7 @@ from hydro_env.controllers.classical.cross_coupling import (
 )
 from hydro_env.controllers.classical.disturbance_observer import DisturbanceObserver
 from hydro_env.controllers.classical.pid import TABLE_III, PidController, RampedPid
-from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow, RigFlow
+from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
@@ -55,8 +55,8 @@ class Entry:
     """Made for another plant than the leaderboard's; `all` leaves it out."""
 
 
-def _law(law: type[Controller], name: str, summary: str, apart: bool = False) -> Entry:
-    return Entry(name, summary, lambda: law(name), apart=apart)
+def _law(law: type[Controller], name: str, summary: str) -> Entry:
+    return Entry(name, summary, lambda: law(name))
 
 
 def _tuned(name: str, summary: str) -> Entry:
@@ -93,7 +93,6 @@ CONTROLLERS: dict[str, Entry] = {
         _policy("sac", "network from the observation alone, trained with SAC"),
         _policy("gru", "recurrent network from the observation alone"),
         _policy("gru_rig", "recurrent network for the preset `rig`", apart=True),
-        _law(RigFlow, "probing_flow_rig", "`probing_flow` with settings for the preset `rig`", apart=True),
     )
 }
 """The controllers that ship with the package, in the order of the leaderboard."""

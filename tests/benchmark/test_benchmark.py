@@ -420,7 +420,7 @@ def test_an_object_is_fresh_in_every_cell():
 
 def test_all_stands_for_those_that_ship():
     own = [name for name, entry in CONTROLLERS.items() if not entry.apart]
-    assert "probing_flow_rig" not in own
+    assert "gru_rig" not in own
     got = _specs(["pid_paper", "all", "mine.json"])
     assert got == [*own, "mine.json"]
     assert _specs(["sac", "mine.json"]) == ["sac", "mine.json"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import gymnasium
@@ -12,8 +13,8 @@ from hydro_env import cli
 from hydro_env.benchmark import tuned as benchmark_gains
 from hydro_env.benchmark.command import Selection
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
-from hydro_env.controllers.tuning.search import Search, Task
-from hydro_env.errors import InputError
+from hydro_env.controllers.tuning.search import Search, Task, drive
+from hydro_env.errors import InputError, InputWarning
 from hydro_env.plant.model_files import values_set_by
 from hydro_env.tasks import default_mismatch, load_mismatch
 
@@ -113,3 +114,17 @@ def test_shipped_gains_are_tuned_for_a_plant_file_once(
     Path(plant).write_text(Path(plant).read_text().replace("0.25", "0.28"))
     rows()
     assert searched == ["pid_tuned"] * 2
+
+
+def test_gains_of_another_plant_are_pointed_out(tmp_path: Path) -> None:
+    plant, gains = write(tmp_path, "uneven", UNEVEN), {"Kp": 0.01, "Ti": 0.1, "Td": 0.001}
+    for of in ("rig", plant):
+        tuning = {"plant": of, "plant_drive_rpm": list(drive(of))}
+        write_gains(
+            tmp_path / f"{Path(of).stem}.json", GainsFile(controller="pid", gains=gains, tuning=tuning)
+        )
+    with pytest.warns(InputWarning, match=r"rig\.json: tuned on rig, which drives otherwise"):
+        benchmark_gains.warn_of_others([str(tmp_path / "rig.json"), "pid_tuned"], plant)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        benchmark_gains.warn_of_others([str(tmp_path / "uneven.json"), "pid_tuned"], plant)

@@ -291,11 +291,12 @@ def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
     few = Search(task, cases=1, episodes=72, progress=False)
     first = tune.run(tmp_path / "a", few)
     more = tune.run(tmp_path / "b", replace(few, episodes=144))
-    assert more["tuning"]["cost_rpm"] <= first["tuning"]["cost_rpm"]
+    assert more["tuning"]["cost"] <= first["tuning"]["cost"]
     assert tune.run(tmp_path / "c", few) == first
     assert (tmp_path / "a/gains.json").read_bytes() == (tmp_path / "c/gains.json").read_bytes()
     controller = make_controller(str(tmp_path / "b/gains.json"))
-    assert {key: float(value) for key, value in controller.gains.items()} == more["gains"]
+    gains = {key: float(value) for key, value in controller.gains.items() if np.isfinite(value)}
+    assert gains == more["gains"]  # no limit of the rate is left out
 
 
 def test_a_search_begins_at_shipped_gains_and_where_the_linearised_plant_carries_them():
@@ -312,43 +313,41 @@ def test_a_search_says_how_far_it_came(tmp_path):
     found = tune.run(tmp_path, few)
     tuning, text = found["tuning"], tune.summary(found)
     assert (
-        tuning["cost_rpm"] <= tuning["start_rpm"] < tuning["at_rest_rpm"]
+        tuning["cost"] <= tuning["start"] < tuning["at_rest"]
     )  # shipped gains are among the last candidates
     assert tuning["judged_on"] == 4 and tuning["episodes"] == 72
-    assert "with motors at rest" in text and "hardly better" not in text and "ended" not in text
-    worse = {**tuning, "cost_rpm": tuning["at_rest_rpm"], "at_end_of_range": {"Kp": 0}}
+    assert "with motors at rest" in text and "hardly better" not in text
+    worse = {**tuning, "cost": tuning["at_rest"], "at_end_of_range": {"Kp": 0}}
     text = tune.summary({**found, "tuning": worse})
     assert "hardly better" in text and "Kp ended at the lower end" in text
 
 
-def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
-    """What has been found is kept, unless another budget found it; a controller that is interrupted leaves nothing."""
-    small = tune.Budget(cases=1, trials=48)
-    monkeypatch.setattr(tune, "SEARCHES", ((small, small),))
-    monkeypatch.setattr(tune, "JUDGED", 4)
+def test_tuning_all_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
+    """What has been found is kept; a controller that is interrupted leaves nothing."""
     wanted, searched = ["pid_tuned", "servo_pid"], []
-    search = tune.search
 
-    def watched(wanted, **options):
-        searched.append(wanted.task.plant)
+    def quick(wanted, known=()):
+        searched.append((wanted.task.plant, wanted.period, bool(known)))
         if len(searched) == 5:
             raise KeyboardInterrupt
-        return search(wanted, **options)
+        return {"gains": {"Kp": 0.1, "Ti": 0.1, "Td": 0.0}, "tuning": {"control_period_s": wanted.period}}
 
-    monkeypatch.setattr(tune, "search", watched)
+    monkeypatch.setattr(tune, "search", quick)
     with pytest.raises(KeyboardInterrupt):
-        tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
+        tune.run_all(tmp_path / "new/gains", names=wanted)
     assert [path.name for path in (tmp_path / "new/gains").iterdir()] == ["pid_tuned.json"]
-    found = tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
-    assert searched == ["paper_dead_zone"] * 3 + ["servo"] * 5
+    found = tune.run_all(tmp_path / "new/gains", names=wanted)
+    periods = [
+        (0.01, False),
+        (0.005, True),
+        (0.02, True),
+    ]  # the first from nothing, the others from its gains
+    plants = [("paper_dead_zone", *each) for each in periods], [("servo", *each) for each in periods]
+    assert searched == [*plants[0], *plants[1][:2], *plants[1]]
     assert found["pid_tuned"] == read_gains(tmp_path / "new/gains/pid_tuned.json")
+    assert [*found["pid_tuned"].by_period()] == [0.01, 0.005, 0.02]
     drives = {name: make_controller(str(tmp_path / f"new/gains/{name}.json")).plant for name in wanted}
     assert drives == {"pid_tuned": None, "servo_pid": "servo"}
-    monkeypatch.setattr(tune, "SEARCHES", ((small, small), (tune.Budget(cases=1, trials=72), small)))
-    tuning = tune.run_all(tmp_path / "new/gains", names=["pid_tuned"], progress=False)["pid_tuned"].tuning
-    assert len(searched) == 14 and tuning == read_gains(tmp_path / "new/gains/pid_tuned.json").tuning
-    costs = {each["trials"]: each["cost_rpm"] for each in tuning["searches"]}
-    assert costs[tuning["trials"]] == min(costs.values())
 
 
 def test_nothing_is_tuned_on_a_test_split(tmp_path):

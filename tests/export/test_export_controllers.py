@@ -37,7 +37,7 @@ CLASSICAL = (
     "compensated", "servo_pid",
 )  # fmt: skip
 IN_TEXT = tuple(name for name in CLASSICAL if name != "disturbance_observer")
-LAWS = ("adaptive_flow", "probing_flow", "bench_flow", "probing_flow_rig")
+LAWS = ("adaptive_flow", "probing_flow", "bench_flow")
 NETWORKS = ("ppo", "sac", "gru", "gru_rig")
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -107,7 +107,7 @@ class InText:
 
 
 def rig_of(name: str) -> tuple[str, str | None]:
-    own = {"servo_pid": ("servo", None), "probing_flow_rig": ("rig", None), "gru_rig": ("rig", None)}
+    own = {"servo_pid": ("servo", None), "gru_rig": ("rig", None)}
     return own.get(name, ("paper_dead_zone", "test_interp"))
 
 
@@ -307,7 +307,7 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     gains = (
         {"Kp": 0.3, "Ki": 0.5}
         if law.endswith("Mine")
-        else {**make_controller("cross_coupled").gains, "Kp": 0.04}
+        else {**make_controller("cross_coupled", slew=3000.0).gains, "Kp": 0.04}
     )
     write_gains(
         "größe_1.json", GainsFile(controller=law, gains={key: float(value) for key, value in gains.items()})

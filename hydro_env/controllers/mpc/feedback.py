@@ -21,12 +21,15 @@ from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
+from hydro_env.units import RPM
 
 __all__ = ["Feedback", "FeedbackSettings", "FeedbackState"]
 
 
 PAUSE = 0.15
 """Least time between two answers to sudden loads, s; set by hand."""
+SLOW = 20.0 * RPM
+"""Speed below which there is no saying which way a spool stops short, rad/s; set by hand."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,9 @@ class FeedbackSettings:
 
     track: float = setting(11.0, "1/s", "acceleration per error to the reference", TUNED)
     couple: float = setting(47.0, "1/s", "acceleration per half of the speed difference", TUNED)
+    settle: float = setting(
+        0.0, "1/s", "pace at which flow takes out what lasts of that error", "the gain above does"
+    )
     delay: float = setting(0.016, "s", "from a flow asked for to the speed it gives", TUNED)
     lead: float = setting(0.66, "10 ms", "how far ahead the speed difference is predicted", TUNED)
     late: float = setting(0.8, "1", "a delay of n periods divides the gains by 1 + late n", TUNED)
@@ -46,6 +52,7 @@ class FeedbackNumbers(NamedTuple):
 
     track: float
     couple: float
+    settle: float
     late: float
     jump: float
     gain: float  # what a longer period leaves of the gains
@@ -64,12 +71,14 @@ class FeedbackNumbers(NamedTuple):
 
 class FeedbackState(NamedTuple):
     """`flow` (N, 2): asked for. `apart` (N, 2): half of the predicted difference, of each motor to the other, and `behind`
-    (N,): error of the mean to the reference, rad/s. `wanted` (periods, N, 2): flows asked for before, newest first. `sudden`
+    (N,): error of the mean to the reference, rad/s. `short` (N,): how far motors are short of a reference in the end, rad/s; a
+    spool that sticks stops short of its command. `wanted` (periods, N, 2): flows asked for before, newest first. `sudden`
     (N,): share of an answer to a sudden load, `pause` (N,): samples until the next one."""
 
     flow: Floats
     apart: Floats
     behind: Floats
+    short: Floats
     sudden: Floats
     pause: NDArray[np.int64]
 
@@ -91,7 +100,7 @@ class Feedback:
         """References that the error looks back on."""
         self._channel = channel
         self._numbers = FeedbackNumbers(
-            settings.track, settings.couple, settings.late,
+            settings.track, settings.couple, settings.settle * period, settings.late,
             # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
             jump=settings.jump * max(1.0, TUNED_PERIOD / period), gain=min(1.0, TUNED_PERIOD / period),
             mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
@@ -102,7 +111,12 @@ class Feedback:
         )  # fmt: skip
         pair = (num_rigs, 2)
         self.state = FeedbackState(
-            np.zeros(pair), np.zeros(pair), np.zeros(num_rigs), np.zeros(num_rigs), np.zeros(num_rigs, int)
+            np.zeros(pair),
+            np.zeros(pair),
+            np.zeros(num_rigs),
+            np.zeros(num_rigs),
+            np.zeros(num_rigs),
+            np.zeros(num_rigs, int),
         )
         self._wanted, self._before = np.zeros((MAX_DELAY + 1, *pair)), np.zeros(num_rigs)
 
@@ -110,7 +124,7 @@ class Feedback:
         """The flow that holds the speeds (n, 2)."""
         f = self.state
         f.flow[rows], f.apart[rows], f.behind[rows] = self._channel.per_speed * speed, 0.0, 0.0
-        f.sudden[rows], f.pause[rows] = 0.0, 0
+        f.short[rows], f.sudden[rows], f.pause[rows] = 0.0, 0.0, 0
         self._wanted[:, rows], self._before[rows] = 0.0, 0.0
 
     def update(
@@ -154,11 +168,14 @@ def _ask(s, m, speed, motors, delay, wanted, before, r, f):
         at = s.whole + delay[i]  # the reference `delay` ago
         f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - mean
         gain = s.gain / (1.0 + s.late * delay[i])
+        way = r.speed[i] / (abs(r.speed[i]) + SLOW)
+        f.short[i] += s.settle / (1.0 + s.late * delay[i]) * way * f.behind[i]
+        held = r.speed[i] + way * f.short[i]
         for c in range(2):
             f.apart[i, c] = 0.5 * (ahead[c] - ahead[1 - c])
             faster = r.acceleration[i] + gain * (s.track * f.behind[i] - s.couple * f.apart[i, c])
             f.flow[i, c] = (
-                m.per_speed * r.speed[i] + m.per_acceleration * faster + m.per_torque * torque[i, c]
+                m.per_speed * held + m.per_acceleration * faster + m.per_torque * torque[i, c]
             ) + (s.swell * (r.acceleration[i] - before[i]) - s.damp * pressure[i, c])
 
 

@@ -14,7 +14,6 @@ from math import cos, inf, pi, sqrt
 
 import numpy as np
 
-from hydro_env.controllers.estimation.delay_estimator import DelaySettings
 from hydro_env.controllers.estimation.estimator import EstimatorSettings
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, STICTION, Motor
 from hydro_env.controllers.estimation.spool import SpoolSettings
@@ -28,33 +27,40 @@ from hydro_env.plant import PlantModel, Scales, scales_of
 from hydro_env.plant.parameters import SUPPLY_PRESSURE
 from hydro_env.plant.scales import rated
 
-__all__ = ["RIG", "leaks", "settings_of", "units_of"]
+__all__ = ["leaks", "settings_of", "units_of"]
 
-SHARES = {"damp": 0.4, "track": 0.33, "couple": 0.5, "lead": 0.7, "rate": 0.3, "rise": 0.2, "push": 0.85}
+SHARES = {
+    "settle": 0.2,
+    "damp": 0.4,
+    "track": 0.33,
+    "couple": 0.5,
+    "lead": 0.7,
+    "rate": 0.3,
+    "rise": 0.2,
+    "push": 0.85,
+}
 """Shares of what is possible that are used: of the damping, of the largest feedback on both errors, of the delay that the speed
 difference is predicted over, of the motor's own rate for the reference and for the rise of flow, and of the supply's pressure.
 Set on drawn rigs."""
-GENTLE = 1.5
+GENTLE = 5.0
 """Rated speeds a second that no reference exceeds; set on drawn rigs."""
 RINGS = 0.3
 """Damping ratio of a spool below which commands are averaged."""
 
-RIG = FlowSettings(
-    motor=Motor(leakage=0.01666, compliance=0.0625, mode=23.2),
-    estimator=EstimatorSettings(
-        spool=SpoolSettings(damping=0.3, friction=0.54),
-        valves=ValveSettings(
-            drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0
-        ),
-        delay=DelaySettings(certain=12.0, most=100.0, loose=0.0),
-    ),
-    reference=ReferenceSettings(doubt=2.9, capacity=1.0, foresight=0.0),
-    probing=ProbingSettings(led=False, detect=0.0047, patience=0.0),
-    crossing=CrossingSettings(known=0.0135),
-    feedback=FeedbackSettings(track=30.0, couple=60.0, delay=0.0114, lead=1.23, late=0.78),
-    planner=None,
+VALVES = ValveSettings(
+    before=0.03,
+    drift=0.0247,
+    gain_drift=0.0085,
+    still=0.016,
+    moving=0.346,
+    first=0.0056,
+    idle=1.0,
+    unused=0.0,
 )
-"""For the preset `rig`, whose motors hardly leak and follow the flow. Found by an evolution strategy on pairs of `train`."""
+PROBING = ProbingSettings(led=False, detect=0.0047, patience=0.0)
+CROSSING = CrossingSettings(known=0.0135, search=3.0)
+"""Estimation and probing of valves whose spools the model knows too roughly to lead them. Found by an evolution strategy on
+pairs of `train` of the preset `rig`; `before` and `search` by trial on drawn rigs."""
 
 
 def leaks(model: PlantModel) -> bool:
@@ -86,18 +92,17 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     push = min(
         SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"], GENTLE * RATED_FLOW / NOMINAL["D"]
     )
-    # estimation and probing are those of the preset `rig`
-    valves, crossing = replace(RIG.estimator.valves, before=0.03), replace(RIG.crossing, search=3.0)
     return FlowSettings(
         motor=motor,
-        estimator=EstimatorSettings(spool=spool, valves=valves),
+        estimator=EstimatorSettings(spool=spool, valves=VALVES),
         reference=ReferenceSettings(
             rate=min(SHARES["rate"] * max(settles, swings), 42.0, 0.8 / late),
             rise=min(SHARES["rise"] * settles, 28.0), fall=2.0, doubt=2.9, most=push, foresight=0.0,
         ),
-        probing=RIG.probing,
-        crossing=crossing,
+        probing=PROBING,
+        crossing=CROSSING,
         feedback=FeedbackSettings(
+            settle=SHARES["settle"] * min(settles, 1.0 / late),
             track=min(SHARES["track"] * most, 30.0), couple=min(SHARES["couple"] * most, 60.0), delay=late,
             lead=SHARES["lead"] * late / 0.01, late=0.78,
         ),

@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import on_the_bench
 from hydro_env.controllers.estimation.valve_map import ValveMap
-from hydro_env.controllers.mpc.fitted import RIG, leaks, settings_of, units_of
+from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.plant import Plant, PlantModel, Scales, scales_of
 
-__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
+__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
 
 SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
@@ -54,14 +54,10 @@ class ProbingFlow(Controller):
 
     def drives(self, model: PlantModel) -> None:
         super().drives(model)
-        self._model = model if self._fits(model) else None
+        self._model = None if leaks(model) else model
 
     def units_for(self, model: PlantModel) -> Scales:
-        return units_of(model) if self._fits(model) else scales_of(model)
-
-    def _fits(self, model: PlantModel) -> bool:
-        """Whether units and settings follow from the model."""
-        return not leaks(model)
+        return scales_of(model) if leaks(model) else units_of(model)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
@@ -95,17 +91,6 @@ class ProbingFlow(Controller):
         )
         law.start(measured, self.period)
         return law
-
-
-class RigFlow(ProbingFlow):
-    """Probes the valves of a machine like the preset `rig`, whose motor is known to it; commands are averaged, not planned."""
-
-    # the rise of flow has no say here: the reference is slower
-    GAINS = (replace(RATE, default=14.9), replace(SWEEP, default=2.36), replace(SEARCH, default=2.19))
-    settings = RIG
-
-    def _fits(self, model: PlantModel) -> bool:
-        return False
 
 
 NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))

@@ -1,14 +1,10 @@
 """The search for gains: what a set of gains costs, and differential evolution over a batch of rigs.
 
-The cost of one episode, in rpm, is
-    tracking_mae_rpm + weight (max_speed_difference_rpm + 2 rms_speed_difference_rpm) + 5 command_variation:
-the mean error of both motors to the set-point, plus the difference between them, which counts double by default since
-moving together is the task. Its peak alone would not do: gains that limit-cycle, by as much as the last reversal takes the
-motors apart, would cost nothing. Nor would commands full of noise, which wear valves out. The cost of a set of gains is its
-mean over pairs and scenarios.
+The cost of an episode is its negative return: the sum of what `envs.reward` counts at its default weights, which the benchmark
+scores by as well. The cost of a set of gains is its mean over pairs and scenarios.
 
 Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
-candidates drive the same pairs with the same noise. Known gains may be candidates of the first generation (`tuning.start`). The
+candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.start`). The
 best of the last one are compared on other pairs, since gains that suit the few pairs of a search best do not suit all.
 Only the split `train` may be used, or the plant's own pair.
 """
@@ -30,13 +26,12 @@ from tqdm import tqdm
 from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError, place_of
 from hydro_env.plant import PAPER, load_model, scales_of, simulate
 from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.units import RPM
 
-__all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "cost", "costs_of", "drive", "search"]
+__all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "costs_of", "drive", "search"]
 
 POPULATION = 24
 """Candidates of a generation: about three for each of up to eight gains."""
@@ -49,29 +44,21 @@ FINALISTS = 6
 AT_END = 0.01
 """Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"
-AROUND = 0.15
-"""A search around known gains begins within this share of every range to both sides of them."""
-COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
-RMS, WEAR = 2.0, 5.0
-"""How many rpm of the peak difference one of the RMS difference is worth, and how many rpm of tracking error one whole
-rated command a second."""
+ROOM = 10.0
+"""Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need."""
 
 
 @dataclass(frozen=True)
 class Task:
     """The law, and what it is tuned for.
 
-    law: as for `law_of`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
-    file. mismatch: "train", or None ("own", "none") for the plant's own pair of valves; "auto": "own" for a plant file that sets
-    what "train" draws. calm: whether the RMS of the difference and the
-    variation of the command count in the cost. scenarios: count equally.
+    law: as for `law_of`. plant: preset or model file. mismatch: "train", or None ("own", "none") for the plant's own pair of
+    valves; "auto": "own" for a plant file that sets what "train" draws. scenarios: count equally.
     """
 
     law: str = "pid"
-    weight: float = 2.0
     plant: str = "paper_dead_zone"
     mismatch: str | None = "train"
-    calm: bool = True
     scenarios: tuple[str, ...] = SCENARIOS
 
     def __post_init__(self) -> None:
@@ -84,8 +71,7 @@ class Search:
     """One search.
 
     cases: pairs of valves each candidate drives in each scenario (seeds `seed`, `seed + 1`, ...). episodes: the budget, how
-    many may be simulated in all. period: of control, s. plain: evolution alone, as the gains that ship were found: no known gains
-    to begin with, no other pairs in the end.
+    many may be simulated in all. period: of control, s.
     """
 
     task: Task
@@ -94,22 +80,11 @@ class Search:
     cases: int = CASES
     episodes: int = EPISODES
     progress: bool = True
-    plain: bool = False
 
     @property
     def generation(self) -> int:
         """Episodes of a generation."""
         return self.cases * POPULATION * len(self.task.scenarios)
-
-
-def cost(metrics: dict[str, Floats], weight: float, calm: bool = True, speed: float = 1.0) -> Floats:
-    """Cost of every episode in rpm, on a rig of this scale of speed; the RMS of the difference and the variation of the command
-    only count with `calm`."""
-    peak, tracking = metrics["max_speed_difference_rpm"], metrics["tracking_mae_rpm"]
-    if not calm:
-        return tracking + weight * peak
-    apart = peak + RMS * metrics["rms_speed_difference_rpm"]
-    return tracking + weight * apart + speed * WEAR * metrics["command_variation"]
 
 
 def costs_of(
@@ -121,59 +96,54 @@ def costs_of(
     bar: tqdm | None = None,
 ) -> Floats:
     """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
-    total, size = np.zeros(count), scales_of(load_model(task.plant))
+    total = np.zeros(count)
     for scenario in task.scenarios:
         done = roll_out(
             controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
             control_period=period, dtype="float32",
         )  # fmt: skip
-        costs = cost(done.metrics(COSTS), task.weight, task.calm, size.speed)
-        total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
+        total -= done.returns.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
         if bar is not None:
-            bar.update(len(costs))
+            bar.update(len(done.returns))
     return total
 
 
-def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """{"gains", "tuning"}, where the first generation lies around the gains `near` if given.
+def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[str, Any]:
+    """{"gains", "tuning"}; gains that are `known` beforehand are candidates of the first generation.
 
-    InputError for a control law or split that may not be tuned on, or a budget below three generations (two if `plain`).
+    InputError for a control law or split that may not be tuned on, or a budget below three generations.
     """
     task = _checked(wanted)
-    law, rng = law_of(task.law), np.random.default_rng(wanted.seed)
-    first = _latin_hypercube(_bounds(law), rng, None if near is None else _genes(law, near))
-    known = [] if wanted.plain else starts(task.law, task.plant, wanted.period)
+    law, generations = law_of(task.law), wanted.episodes // wanted.generation - 1
+    bounds = _bounds(law, known)
+    first = _latin_hypercube(bounds, np.random.default_rng(wanted.seed))
     for row, gains in enumerate(known, 1):
-        first[row] = _genes(law, gains)
-    generations = wanted.episodes // wanted.generation - (not wanted.plain)
+        first[row] = _genes(law, gains, bounds)
     bar = tqdm(
-        total=(generations + (not wanted.plain)) * wanted.generation, desc=f"{task.law} {wanted.period:g} s",
-        unit="episode", disable=not wanted.progress,
+        total=(generations + 1) * wanted.generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
+        disable=not wanted.progress,
     )  # fmt: skip
-    told: dict[str, Any] = {}
-    trials = _Trials(wanted, task, law, bar)
+    trials = _Trials(wanted, task, law, bounds, bar)
     with bar, _users_errors():
         found = differential_evolution(
-            trials.costs, _bounds(law), init=first, maxiter=generations - 1,
+            trials.costs, bounds, init=first, maxiter=generations - 1,
             rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
-        best, cost = found.x, float(found.fun)
-        if not wanted.plain:
-            best, cost, told = trials.final(found.population, found.population_energies, known)
+        best, told = trials.final(found.population, found.population_energies, known)
     found_gains = dict(zip((gain.name for gain in law.GAINS), _values(law, best), strict=True))
     if found_gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
         del found_gains["slew"]  # the whole range within one period: no limit
     size = scales_of(load_model(task.plant)) if law.similar else PAPER
     sizes = {gain.name: gain.size(size) for gain in law.GAINS}
     told["trials"] = POPULATION * found.nfev  # SciPy counts generations
-    told["episodes"] = (found.nfev + (not wanted.plain)) * wanted.generation
-    told["cost_rpm"] = _short(cost)
-    if not wanted.plain:
-        told["at_end_of_range"] = {name: end for name, end in _ends(law, best).items() if name in found_gains}
+    told["episodes"] = (found.nfev + 1) * wanted.generation
+    told["at_end_of_range"] = {
+        name: end for name, end in _ends(law, best, bounds).items() if name in found_gains
+    }
     return {
         "gains": {key: float(f"{value * sizes[key]:.4g}") for key, value in found_gains.items()},
-        "tuning": _account(wanted, task, generations, near is not None) | told,
+        "tuning": _account(wanted, task, generations, known) | told,
     }
 
 
@@ -184,6 +154,7 @@ class _Trials:
     wanted: Search
     task: Task
     law: type[Controller]
+    bounds: Floats
     bar: tqdm
     lowest: list[float] = field(default_factory=list)
 
@@ -202,12 +173,12 @@ class _Trials:
         return costs_of(tried.carry(), genes.shape[1], self.task, seeds, self.wanted.period, self.bar)
 
     def final(
-        self, population: Floats, costs: Floats, known: list[dict[str, float]]
-    ) -> tuple[Floats, float, dict[str, Any]]:
-        """The best of the last generation (candidates, gains) on other pairs, its cost there, and what there is to tell: what the
-        first of the `known` gains and motors at rest cost, and what the last quarter of the search has gained.
+        self, population: Floats, costs: Floats, known: Sequence[Mapping[str, float]]
+    ) -> tuple[Floats, dict[str, Any]]:
+        """The best of the last generation (candidates, gains) on other pairs, and what there is to tell: what it, the first of
+        the `known` gains and motors at rest cost there, and what the last quarter of the search has gained.
         """
-        first = [_genes(self.law, gains) for gains in known[:1]]
+        first = [_genes(self.law, gains, self.bounds) for gains in known[:1]]
         order = np.argsort(costs, kind="stable")[: FINALISTS - len(first)]
         genes = np.array([*population[order], *first])
         begin = self.wanted.seed + self.wanted.cases
@@ -217,13 +188,14 @@ class _Trials:
         rest = costs_of(_Rest(), 1, self.task, seeds, self.wanted.period)
         late = self.lowest[-1 - len(self.lowest) // 4]
         told: dict[str, Any] = {
+            "cost": _short(found[best]),
             "judged_on": len(seeds),
             "last_quarter_gained_percent": _short(100.0 * (1.0 - self.lowest[-1] / late)),
-            "at_rest_rpm": _short(float(rest[0])),
+            "at_rest": _short(rest[0]),
         }
         if known:
-            told["start_rpm"] = _short(float(found[-1]))
-        return genes[best], float(found[best]), told
+            told["start"] = _short(found[-1])
+        return genes[best], told
 
 
 class _Rest:
@@ -240,9 +212,9 @@ def _short(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _ends(law: type[Controller], genes: Floats) -> dict[str, float]:
+def _ends(law: type[Controller], genes: Floats, bounds: Floats) -> dict[str, float]:
     """Gains that lie at an end of the range that is searched, with the share of the range they lie at: 0 or 1."""
-    low, high = _bounds(law).T
+    low, high = bounds.T
     shares = dict(zip((gain.name for gain in law.GAINS), (genes - low) / (high - low), strict=True))
     return {name: round(share) for name, share in shares.items() if abs(share - round(share)) < AT_END}
 
@@ -271,20 +243,17 @@ def _checked(wanted: Search) -> Task:
         )
     task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
     load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
-    least = 2 if wanted.plain else 3
-    if wanted.cases < 1 or wanted.episodes < least * wanted.generation:
+    if wanted.cases < 1 or wanted.episodes < 3 * wanted.generation:
         raise InputError(
-            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least * wanted.generation} ({least} generations)"
+            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation} (3 generations)"
         )
     return task
 
 
-def _account(wanted: Search, task: Task, generations: int, around: bool) -> dict[str, Any]:
+def _account(
+    wanted: Search, task: Task, generations: int, known: Sequence[Mapping[str, float]]
+) -> dict[str, Any]:
     """What a gains file says of the search, for who reads or repeats it."""
-    objective = f"{task.weight:g} max_speed_difference_rpm"
-    if task.calm:
-        differences = f"(max_speed_difference_rpm + {RMS:g} rms_speed_difference_rpm)"
-        objective = f"{task.weight:g} {differences} + {WEAR:g} command_variation"
     return {
         "split": task.mismatch,
         "plant": str(task.plant),
@@ -292,9 +261,9 @@ def _account(wanted: Search, task: Task, generations: int, around: bool) -> dict
         "cases": wanted.cases,
         "seed": wanted.seed,
         "control_period_s": wanted.period,
-        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {objective}",
-        "optimiser": f"differential evolution, population {POPULATION}, {generations} generations"
-        + (", the first around the gains of another control period" if around else ""),
+        "objective": "negative return, mean over pairs and scenarios",
+        "optimiser": f"differential evolution, population {POPULATION}, {generations} generations",
+        "began_with": [dict(gains) for gains in known],
         "plant_dtype": "float32",
         "version": version("hydro_env"),
         "plant_drive_rpm": list(drive(task.plant)),
@@ -310,10 +279,16 @@ def drive(plant: str) -> tuple[float, float]:
     return round(float(speed[0] / RPM), 2), round(float(speed[1] / RPM), 2)
 
 
-def _bounds(law: type[Controller]) -> Floats:
+def _bounds(law: type[Controller], known: Sequence[Mapping[str, float]]) -> Floats:
     """Where to search, (gains, 2): the logarithm of gains on a logarithmic scale."""
-    rows = [(gain.low, gain.high) if not gain.log else (log(gain.low), log(gain.high)) for gain in law.GAINS]
-    return np.array(rows)
+
+    def of(gain: Gain) -> tuple[float, float]:
+        if not gain.log:
+            return gain.low, gain.high
+        low = min(gain.low, *(gains.get(gain.name, inf) / ROOM for gains in known), inf)
+        return log(low), log(gain.high)
+
+    return np.array([of(gain) for gain in law.GAINS])
 
 
 def _values(law: type[Controller], genes: Floats) -> Floats:
@@ -321,29 +296,21 @@ def _values(law: type[Controller], genes: Floats) -> Floats:
     return np.stack([np.exp(x) if gain.log else x for gain, x in zip(law.GAINS, genes, strict=True)])
 
 
-def _genes(law: type[Controller], gains: Mapping[str, float]) -> Floats:
+def _genes(law: type[Controller], gains: Mapping[str, float], bounds: Floats) -> Floats:
     """What the search works with for known gains, (gains,); one that is left out at the end of its range next to its default."""
 
     def of(gain: Gain) -> float:
         value = gains.get(gain.name, gain.default)
-        value = min(max(inf if value is None else value, gain.low), gain.high)
+        value = inf if value is None else value
         return log(value) if gain.log else value
 
-    return np.array([of(gain) for gain in law.GAINS])
+    return np.clip([of(gain) for gain in law.GAINS], *bounds.T)
 
 
-def _latin_hypercube(bounds: Floats, rng: np.random.Generator, middle: Floats | None) -> Floats:
-    """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once;
-    the first candidate is the middle of all ranges. With a `middle` (gains,), ranges are the part of `bounds` around it.
-    """
-    if middle is not None:
-        reach = AROUND * (bounds[:, 1] - bounds[:, 0])
-        low, high = np.maximum(bounds[:, 0], middle - reach), np.minimum(bounds[:, 1], middle + reach)
-        bounds = np.stack([low, high], axis=1)
+def _latin_hypercube(bounds: Floats, rng: np.random.Generator) -> Floats:
+    """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once; the first candidate is
+    the middle of all ranges."""
     parts = np.stack([rng.permutation(POPULATION) for _ in bounds], axis=1)
     share = (parts + rng.random(parts.shape)) / POPULATION
     share[0] = 0.5
-    first = bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
-    if middle is not None:
-        first[0] = middle
-    return first
+    return bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])

@@ -1,26 +1,21 @@
 """Tunes a controller's gains on the training pairs: `hydro-env tune`; the search itself is in `tuning.search`.
 
-The controllers that ship (`--controller all`) have one budget, about that of the search of `probing_flow`, which
-had some 480 000 episodes. The search can reach a local minimum, so it runs twice, with few pairs and with many
-(`SEARCHES`), at `PERIOD` and then, the first generation around the gains found there, at each of `OTHER_PERIODS`. Whichever
-costs less on the many pairs ships. That is a quarter of an hour of a core for each controller; what has been found is kept
-when the command is interrupted, and not searched again.
+The controllers that ship (`--controller all`) are found by the same search, from nothing at `PERIOD`, then from the gains found
+there at each of `OTHER_PERIODS`. What has been found is kept when the command is interrupted, and not searched again.
 """
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.tuning.gains import GainsFile, OtherPeriod, read_gains, write_gains
-from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, search
+from hydro_env.controllers.tuning.search import Search, Task, drive, search
+from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks import OWN
 
@@ -28,26 +23,6 @@ __all__ = ["COMMON", "run", "run_all", "summary"]
 
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
 
-
-@dataclass(frozen=True)
-class Budget:
-    """`trials` sets of gains, each of which drives `cases` pairs of valves in both scenarios."""
-
-    cases: int
-    trials: int
-
-    @property
-    def episodes(self) -> int:
-        return 2 * self.cases * self.trials
-
-
-SEARCHES = (
-    (Budget(cases=12, trials=480), Budget(cases=12, trials=144)),
-    (Budget(cases=200, trials=960), Budget(cases=100, trials=240)),
-)
-"""What each controller of `COMMON` has at `PERIOD`, and at each of `OTHER_PERIODS`."""
-JUDGED = 200
-"""Pairs, from the seed of the search on, that the results of `SEARCHES` are compared on in both scenarios."""
 
 COMMON: dict[str, Task] = {
     "pid_tuned": Task("pid"),
@@ -57,17 +32,17 @@ COMMON: dict[str, Task] = {
     "virtual_leader": Task("virtual_leader"),
     "disturbance_observer": Task("disturbance_observer"),
     "compensated": Task("compensated"),
-    # Calm, the reference would trade its lead in the difference for calmer valves and loads that part the motors.
-    "servo_pid": Task("ramped_pid", plant="servo", mismatch=None, calm=False),
+    "servo_pid": Task("ramped_pid", plant="servo", mismatch=None),
 }
-"""The controllers that are tuned with the common budget, by the name they ship under."""
+"""The controllers that ship with gains found by search, by the name they ship under."""
 
 
 def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, Any]:
     """Searches the gains of a control law and writes `out/gains.json`, which `make_controller` reads. `name`: the controller's
     in leaderboards. Returns what gains.json says. InputError as `search`.
     """
-    task, found = wanted.task, search(wanted)
+    task = wanted.task
+    found = search(wanted, starts(task.law, task.plant, wanted.period))
     options = {
         "controller": task.law,
         "plant": task.plant,
@@ -75,7 +50,6 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
         "scenario": ",".join(found["tuning"]["scenarios"]),
         "cases": wanted.cases,
         "episodes": wanted.episodes,
-        "weight": f"{task.weight:g}",
         "control-period": f"{wanted.period:g}",
         "seed": wanted.seed,
     }
@@ -96,16 +70,16 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
 def summary(found: dict[str, Any]) -> str:
     """What a run says: the cost beside that of the first gains and of motors at rest, and how far the search has come."""
     tuning, units = found["tuning"], found["units"]
-    others = {"the gains it began with": tuning.get("start_rpm"), "motors at rest": tuning["at_rest_rpm"]}
+    others = {"the gains it began with": tuning.get("start"), "motors at rest": tuning["at_rest"]}
     beside = ", ".join(f"{value:.4g} with {what}" for what, value in others.items() if value is not None)
     lines = [
-        f"cost {tuning['cost_rpm']:.4g} rpm on {tuning['judged_on']} other pairs ({beside}); "
+        f"cost {tuning['cost']:.4g} (negative return) on {tuning['judged_on']} other pairs ({beside}); "
         f"the last quarter of the search gained {tuning['last_quarter_gained_percent']:.2g} %"
     ]
     lines += [f"{name} = {value:.4g} {units[name]}" for name, value in found["gains"].items()]
     for name, end in tuning["at_end_of_range"].items():
         lines.append(f"{name} ended at the {'upper' if end else 'lower'} end of its range")
-    if tuning["cost_rpm"] > 0.95 * tuning["at_rest_rpm"]:
+    if tuning["cost"] > 0.95 * tuning["at_rest"]:
         lines.append(
             f"{found['controller']} is hardly better here than motors at rest: try another control law"
         )
@@ -115,8 +89,8 @@ def summary(found: dict[str, Any]) -> str:
 def run_all(
     out: str | Path, *, names: list[str] | None = None, seed: int = 0, progress: bool = True
 ) -> dict[str, GainsFile]:
-    """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods with the common budget
-    and writes `out/NAME.json` for each as soon as it is found. One that is there already from the same command is kept.
+    """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods and writes `out/NAME.json`
+    for each as soon as it is found. One that is there already from the same command is kept.
 
     InputError for a name that `COMMON` lacks, OSError for a folder that cannot be written.
     """
@@ -133,50 +107,24 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         "command": f"hydro-env tune --controller all --only {name} --seed {seed}",
         "version": version("hydro_env"),
         "plant_drive_rpm": list(drive(task.plant)),
-        "budget": sum(first.episodes + len(OTHER_PERIODS) * other.episodes for first, other in SEARCHES),
     }
     if path.exists():
         kept = read_gains(path)
         if origin.items() <= kept.tuning.items():
             return kept
     out.mkdir(parents=True, exist_ok=True)
-    found = [_by_period(task, seed, progress, *budgets) for budgets in SEARCHES]
-    best = {period: _cheaper(task, seed, period, [each[period] for each in found]) for period in found[0]}
-    for each in best.values():
+    own = search(Search(task, seed, PERIOD, progress=progress))
+    found = [
+        search(Search(task, seed, period, progress=progress), [own["gains"]]) for period in OTHER_PERIODS
+    ]
+    for each in (own, *found):
         each["tuning"] = origin | each["tuning"]
-    own = best.pop(PERIOD)
-    others = {f"{period:g}": OtherPeriod(**each) for period, each in best.items()}
+    others = {f"{p:g}": OtherPeriod(**each) for p, each in zip(OTHER_PERIODS, found, strict=True)}
     plant = task.plant if task.mismatch is None else ""
     units = _units(law_of(task.law))
     file = GainsFile(name=name, controller=task.law, units=units, plant=plant, periods=others, **own)
     write_gains(path, file)
     return file
-
-
-def _by_period(
-    task: Task, seed: int, progress: bool, first: Budget, other: Budget
-) -> dict[float, dict[str, Any]]:
-    """What one search finds for every control period."""
-    own = search(Search(task, seed, PERIOD, first.cases, first.episodes, progress, plain=True))
-    return {PERIOD: own} | {
-        period: search(
-            Search(task, seed, period, other.cases, other.episodes, progress, plain=True), near=own["gains"]
-        )
-        for period in OTHER_PERIODS
-    }
-
-
-def _cheaper(task: Task, seed: int, period: float, found: list[dict[str, Any]]) -> dict[str, Any]:
-    """The one of several results of searches that costs least on the same `JUDGED` pairs, with what they all cost."""
-    law, pairs = law_of(task.law), range(seed, seed + JUDGED)
-    costs = [float(costs_of(law(task.law, **each["gains"]), 1, task, pairs, period)[0]) for each in found]
-    searches = [
-        {key: each["tuning"][key] for key in ("cases", "trials", "episodes")}
-        | {"cost_rpm": float(f"{cost:.5g}")}
-        for each, cost in zip(found, costs, strict=True)
-    ]
-    best = found[int(np.argmin(costs))]
-    return best | {"tuning": best["tuning"] | {"judged_on": JUDGED, "searches": searches}}
 
 
 def _units(law: type[Controller]) -> dict[str, str]:
