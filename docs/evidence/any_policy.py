@@ -5,6 +5,7 @@
 Each case of the split is a rig. Both `TUNED` laws are tuned on its model with the default search of `hydro-env tune`, and
 drive it, as the controllers do, `TIMES` times in each of `SCENARIOS`. A pairwise comparison is one rig in one scenario: the share
 of them in which a controller has the smaller mean is printed, and the mean ratio, with 95 % intervals by the bootstrap over rigs.
+One that is idle, as the benchmark has it, loses against one that is not; ratios are those of rigs on which neither is.
 What DIR holds is not run again. Writes any_policy.json.
 """
 
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from hydro_env.benchmark.cells import IDLE
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.search import Search, Task
@@ -60,15 +62,20 @@ def _gains(law: str, split: str, case: int, out: Path) -> Path:
 
 
 def driven(controller: Any, split: str, case: int) -> dict[str, dict[str, float]]:
-    """Mean metrics of a controller on a rig, by scenario; one that loses the motors has infinite ones."""
+    """Mean metrics of a controller on a rig, by scenario, and whether it is idle (0 or 1); one that loses the motors has infinite
+    ones."""
     found = {}
     for scenario in SCENARIOS:
         seeds = [case + 1000 * time for time in range(TIMES)]
         try:
-            metrics = roll_out(controller, seeds, mismatch=split, scenario=scenario).metrics(METRICS.values())
-            found[scenario] = {short: float(np.mean(metrics[name])) for short, name in METRICS.items()}
+            done = roll_out(controller, seeds, mismatch=split, scenario=scenario)
         except ValueError:
-            found[scenario] = dict.fromkeys(METRICS, float("inf"))
+            found[scenario] = dict.fromkeys((*METRICS, "idle"), float("inf"))
+            continue
+        metrics = done.metrics(METRICS.values())
+        found[scenario] = {short: float(np.mean(metrics[name])) for short, name in METRICS.items()}
+        idle = found[scenario]["tracking"] > IDLE * np.abs(done.trace.setpoint_rpm).mean()
+        found[scenario]["idle"] = float(idle)
     return found
 
 
@@ -76,14 +83,16 @@ def compared(rows: Mapping[str, Any], one: str, other: str, metric: str, draws: 
     """Share of comparisons that `one` wins, and the geometric mean of its ratio to `other`, with intervals over rigs."""
     both = [row for row in rows.values() if one in row and other in row]
     values = np.array([[[row[name][s][metric] for s in SCENARIOS] for name in (one, other)] for row in both])
+    idle = np.array([[[row[name][s]["idle"] > 0.0 for s in SCENARIOS] for name in (one, other)] for row in both])
+    wins = np.where(idle[:, 0] == idle[:, 1], values[:, 0] < values[:, 1], idle[:, 1]).astype(float)
     ratio = np.log(np.maximum(values[:, 0], 1e-3) / np.maximum(values[:, 1], 1e-3))
+    ratio[idle.any(axis=1) | ~np.isfinite(ratio)] = np.nan
     picked = np.random.default_rng(0).integers(0, len(both), (draws, len(both)))
-    shares, ratios = (each[picked].mean(axis=(1, 2)) for each in (ratio < 0.0, ratio))
-    low, high = np.quantile(shares, [0.025, 0.975])
-    a, b = np.exp(np.quantile(ratios, [0.025, 0.975]))
+    low, high = np.quantile(wins[picked].mean(axis=(1, 2)), [0.025, 0.975])
+    a, b = np.exp(np.nanquantile(np.nanmean(ratio[picked], axis=(1, 2)), [0.025, 0.975]))
     return (
-        f"{one} against {other}, {metric}: smaller in {(ratio < 0.0).mean():.2f} [{low:.2f}, {high:.2f}], "
-        f"ratio {np.exp(ratio.mean()):.2f} [{a:.2f}, {b:.2f}], {len(both)} rigs"
+        f"{one} against {other}, {metric}: smaller in {wins.mean():.2f} [{low:.2f}, {high:.2f}], "
+        f"ratio {np.exp(np.nanmean(ratio)):.2f} [{a:.2f}, {b:.2f}], {len(both)} rigs"
     )
 
 

@@ -92,6 +92,7 @@ CONTROLLERS: dict[str, Entry] = {
         _policy("ppo", "network from the observation alone, trained with PPO"),
         _policy("sac", "network from the observation alone, trained with SAC"),
         _policy("gru", "recurrent network from the observation alone"),
+        _policy("gru_any", "the same for every rig"),
         _policy("gru_rig", "recurrent network for the preset `rig`", apart=True),
     )
 }

@@ -19,7 +19,8 @@ from tqdm import tqdm
 from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
 from hydro_env.benchmark.report import privileged_information
-from hydro_env.controllers.registry import CONTROLLERS
+from hydro_env.controllers.registry import CONTROLLERS, make_controller
+from hydro_env.controllers.rollout import roll_out
 from hydro_env.diagnosis import Settings
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
@@ -44,6 +45,9 @@ BOARD = (
 PAPER, TUNED, BOUND = "pid_paper", "pid_tuned", "oracle"
 SPLIT = "test_interp"
 """The one split of the quick suite; the animation shows one of its cases."""
+
+ANY, UNSEEN = "gru_any", "test_any"
+"""The agent for every rig, and the split of rigs that it was not trained on."""
 
 GAPS = (
     ("before", "model as given"),
@@ -151,6 +155,7 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
     recorded = record(titles, seeds, split=SPLIT, scenario=BOARD[0][0])
     alt = "peak synchronisation error over tracking error of every controller"
     return {
+        "unseen": svg(_on_a_rig(scores["seed"]), "speeds and commands of a rig that the agent was not trained on"),
         "about": scores["about"], "cases": max(row["n"] for row in scores["rows"]),
         "controllers": len(scores["controllers"]), "columns": [heading for _, _, heading in BOARD], "rows": rows,
         "agent": agent, "seed": recorded["seed"], "animation": animation(recorded),
@@ -213,6 +218,21 @@ def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str])
         side.set_ticks([tick for tick in ticks if limits[0] <= tick <= limits[1]])
         side.set_major_formatter("{x:g}")
     axis.minorticks_off()
+    return drawing
+
+
+def _on_a_rig(case: int) -> Any:
+    """Speeds and commands under the agent for every rig, on one that it was not trained on."""
+    trace = roll_out(make_controller(ANY), [case], mismatch=UNSEEN, scenario=BOARD[0][0]).trace
+    drawing, (speeds, commands) = figure(2, height=1.7)
+    time_s = trace.period * np.arange(len(trace.speed_rpm))
+    speeds.plot(time_s, trace.setpoint_rpm[:, 0], color=COLOURS[4], linewidth=0.8)
+    for motor in (0, 1):
+        speeds.plot(time_s, trace.speed_rpm[:, 0, motor], color=COLOURS[motor], linewidth=1.1, label=f"motor {motor + 1}")
+        commands.step(time_s[1:], 100.0 * trace.command[:, 0, motor], color=COLOURS[motor], linewidth=0.9, where="pre")
+    speeds.legend(loc="upper right", fontsize=8)
+    speeds.set_ylabel("speed, rpm")
+    commands.set(ylabel="command, %", xlabel="time, s")
     return drawing
 
 
