@@ -543,12 +543,12 @@ def test_baselines_keep_their_scores():
 
 
 def test_a_better_controller_is_seen_as_better():
-    """Case by case the law that estimates its valves is nearly always better than the paper's PIDs."""
-    got = run(None, controllers=["pid_paper", "adaptive_flow"], **{**SMALL, "cases": 12})
+    """Case by case the cross coupling is nearly always better than the paper's PIDs."""
+    got = run(None, controllers=["pid_paper", "cross_coupled"], **{**SMALL, "cases": 12})
     chance = {
         entry["metric"]: entry["probability"]
         for entry in got["improvement"]
-        if (entry["controller"], entry["over"]) == ("adaptive_flow", "pid_paper")
+        if (entry["controller"], entry["over"]) == ("cross_coupled", "pid_paper")
     }
     assert chance["max_speed_difference_rpm"] > 0.9 and chance["tracking_mae_rpm"] == 1.0
     assert chance["command_variation"] < 0.1
