@@ -28,6 +28,7 @@ from hydro_env.errors import InputError, place_of, shown
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, Metric, Trace, never_settled
+from hydro_env.tasks.metrics import IDLE
 
 __all__ = [
     "BASELINE", "BOUND", "SCORE", "Cell", "Conditions", "cells_of", "drive", "overall", "score_ends", "with_summaries",
@@ -47,10 +48,6 @@ SCORE = Metric(
 SCORED = METRICS | {SCORE.name: SCORE}
 """The metrics of scores.json by name."""
 RETURN, TRACKING = "return", "tracking_mae_rpm"
-IDLE = 0.75
-"""Of the tracking error of motors that stand still: beyond it a controller counts as idle, and is ranked last. Half of it is the
-error of one motor that follows alone; this is halfway between."""
-
 DTYPE = "float32"
 """Of the plant that every controller meets: half the time of float64, and scores move as they do with other steps
 (docs/reference/benchmark.md, Precision)."""

@@ -41,6 +41,9 @@ def tune(
     scenario: Annotated[str, Option(help="Scenarios, separated by commas.")] = "setpoint_steps,random_steps",
     cases: Annotated[int, number("Pairs of valves for each candidate.", PAIRS)] = 12,
     episodes: Annotated[int, number("Budget: number of simulated episodes.", Limits(1, 10_000_000, whole=True))] = 11520,
+    weight: Annotated[
+        float, number("Weight of the synchronisation error against the tracking error.", Limits(0.0, 1000.0))
+    ] = 2.0,
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     name: Annotated[str | None, Option(help="Name of the controller on the leaderboard.")] = None,
@@ -73,7 +76,7 @@ def tune(
         from hydro_env.controllers.tuning.search import Search, Task
         from hydro_env.controllers.tuning.tune import run, summary
 
-        task = Task(controller, plant, mismatch, scenarios=tuple(scenario.split(",")))
+        task = Task(controller, weight, plant, mismatch, scenarios=tuple(scenario.split(",")))
         print(summary(run(folder, Search(task, seed, control_period, cases, episodes), name)))
 
 

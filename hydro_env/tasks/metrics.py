@@ -26,6 +26,9 @@ REVERSAL = 0.01
 #: For so long (s) they have to, or they were not back in step: three periods of the spools' mode, so that passing through
 #: zero while ringing does not count.
 SETTLED_S = 0.1
+#: Of the tracking error of motors that stand still: beyond it a controller counts as idle, and is ranked last. Half of it is the
+#: error of one motor that follows alone; this is halfway between.
+IDLE = 0.75
 
 
 @dataclass(frozen=True)

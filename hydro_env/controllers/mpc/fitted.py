@@ -32,7 +32,7 @@ __all__ = ["leaks", "settings_of", "units_of"]
 SHARES = {
     "settle": 0.2,
     "damp": 0.4,
-    "track": 0.33,
+    "track": 0.2,
     "couple": 0.5,
     "lead": 0.7,
     "rate": 0.3,

@@ -1,7 +1,12 @@
 """The search for gains: what a set of gains costs, and differential evolution over a batch of rigs.
 
-The cost of an episode is its negative return: the sum of what `envs.reward` counts at its default weights, which the benchmark
-scores by as well. The cost of a set of gains is its mean over pairs and scenarios.
+The cost of one episode, in rpm, is
+    tracking_mae_rpm + weight (max_speed_difference_rpm + 2 rms_speed_difference_rpm) + 5 command_variation:
+the mean error of both motors to the set-point, plus the difference between them, which counts double by default since
+moving together is the task. Its peak alone would not do: gains that limit-cycle, by as much as the last reversal takes the
+motors apart, would cost nothing. Nor would commands full of noise, which wear valves out. Motors at rest do not part: the
+tracking error beyond the mark from which the benchmark calls a controller idle counts tenfold. The cost of a set of gains is its
+mean over pairs and scenarios.
 
 Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
 candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.start`). The
@@ -29,6 +34,7 @@ from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, place_of
 from hydro_env.plant import PAPER, load_model, scales_of, simulate
 from hydro_env.tasks import OWN, default_mismatch, load_scenario
+from hydro_env.tasks.metrics import IDLE
 from hydro_env.units import RPM
 
 __all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "costs_of", "drive", "search"]
@@ -44,6 +50,10 @@ FINALISTS = 6
 AT_END = 0.01
 """Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"
+COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
+RMS, WEAR, IDLING = 2.0, 5.0, 10.0
+"""How many rpm of the peak difference one of the RMS difference is worth, how many rpm of tracking error one whole rated command a
+second, and one rpm of it beyond the mark of the idle."""
 ROOM = 10.0
 """Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need."""
 
@@ -52,11 +62,12 @@ ROOM = 10.0
 class Task:
     """The law, and what it is tuned for.
 
-    law: as for `law_of`. plant: preset or model file. mismatch: "train", or None ("own", "none") for the plant's own pair of
+    law: as for `law_of`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model file. mismatch: "train", or None ("own", "none") for the plant's own pair of
     valves; "auto": "own" for a plant file that sets what "train" draws. scenarios: count equally.
     """
 
     law: str = "pid"
+    weight: float = 2.0
     plant: str = "paper_dead_zone"
     mismatch: str | None = "train"
     scenarios: tuple[str, ...] = SCENARIOS
@@ -96,13 +107,16 @@ def costs_of(
     bar: tqdm | None = None,
 ) -> Floats:
     """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
-    total = np.zeros(count)
+    total, wear = np.zeros(count), WEAR * scales_of(load_model(task.plant)).speed
     for scenario in task.scenarios:
         done = roll_out(
             controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
             control_period=period, dtype="float32",
         )  # fmt: skip
-        total -= done.returns.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
+        tracking, peak, rms, variation = (done.metrics(COSTS)[name] for name in COSTS)
+        beyond = np.maximum(tracking - IDLE * np.abs(done.trace.setpoint_rpm).mean(axis=0), 0.0)
+        costs = tracking + task.weight * (peak + RMS * rms) + wear * variation + (IDLING - 1.0) * beyond
+        total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
         if bar is not None:
             bar.update(len(done.returns))
     return total
@@ -261,7 +275,8 @@ def _account(
         "cases": wanted.cases,
         "seed": wanted.seed,
         "control_period_s": wanted.period,
-        "objective": "negative return, mean over pairs and scenarios",
+        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {task.weight:g} (max_speed_difference_rpm + {RMS:g} "
+        f"rms_speed_difference_rpm) + {WEAR:g} command_variation; tracking counts {IDLING:g} times beyond {IDLE:g} of that at rest",
         "optimiser": f"differential evolution, population {POPULATION}, {generations} generations",
         "began_with": [dict(gains) for gains in known],
         "plant_dtype": "float32",

@@ -50,6 +50,7 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
         "scenario": ",".join(found["tuning"]["scenarios"]),
         "cases": wanted.cases,
         "episodes": wanted.episodes,
+        "weight": f"{task.weight:g}",
         "control-period": f"{wanted.period:g}",
         "seed": wanted.seed,
     }
@@ -73,7 +74,7 @@ def summary(found: dict[str, Any]) -> str:
     others = {"the gains it began with": tuning.get("start"), "motors at rest": tuning["at_rest"]}
     beside = ", ".join(f"{value:.4g} with {what}" for what, value in others.items() if value is not None)
     lines = [
-        f"cost {tuning['cost']:.4g} (negative return) on {tuning['judged_on']} other pairs ({beside}); "
+        f"cost {tuning['cost']:.4g} rpm on {tuning['judged_on']} other pairs ({beside}); "
         f"the last quarter of the search gained {tuning['last_quarter_gained_percent']:.2g} %"
     ]
     lines += [f"{name} = {value:.4g} {units[name]}" for name, value in found["gains"].items()]
