@@ -38,7 +38,7 @@ CLASSICAL = (
 )  # fmt: skip
 IN_TEXT = tuple(name for name in CLASSICAL if name != "disturbance_observer")
 LAWS = ("adaptive_flow", "probing_flow", "bench_flow")
-NETWORKS = ("ppo", "sac", "gru", "gru_rig")
+NETWORKS = ("ppo", "sac", "gru", "gru_any", "gru_rig")
 Act = Callable[[np.ndarray], np.ndarray]
 
 
