@@ -518,17 +518,17 @@ PINNED = {
     # a bulk modulus that differs by a millionth, or another processor, moves the difference by up to 1 % and tracking by 0.05 %
     # (standard deviations)
     "pid_paper": (188.75, 195.30),
-    "pid_tuned": (25.08, 114.24),
-    "master_slave": (33.96, 145.83),
-    "cross_coupled": (25.10, 102.47),
-    "relative_coupling": (26.00, 91.89),
-    "virtual_leader": (25.14, 94.86),
-    "disturbance_observer": (25.70, 91.01),
-    "compensated": (25.17, 95.06),
+    "pid_tuned": (34.94, 68.24),
+    "master_slave": (65.48, 39.98),
+    "cross_coupled": (34.93, 26.25),
+    "relative_coupling": (38.58, 23.36),
+    "virtual_leader": (52.32, 19.67),
+    "disturbance_observer": (36.34, 24.05),
+    "compensated": (44.91, 7.71),
     "adaptive_flow": (38.26, 13.74),
     "probing_flow": (29.49, 5.60),
     "bench_flow": (27.94, 4.12),
-    "servo_pid": (15.59, 11.75),
+    "servo_pid": (26.14, 4.63),
     "oracle": (24.18, 1.52),
 }
 
