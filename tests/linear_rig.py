@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -40,6 +41,9 @@ class LinearRig:
 
     def has(self, effect: str, channel: int | None) -> bool:
         return False
+
+    def swing_period(self, channel: int) -> float:
+        return inf
 
     def candidates(self) -> list[str]:
         return list(dict.fromkeys(name.split(".")[0] for name in self.curves))
