@@ -9,6 +9,7 @@ simulations; the errors that are reported stay those of free ones.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -52,7 +53,7 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     estimates = {c: p.at(p.q.copy()) if c in found else p for c, p in calibrated.estimates.items()}
     solve(logs.fit, [estimates[c] for c in found], SETTLE_ITERATIONS)
     every = [*found.values(), *calibrated.backlashes]
-    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every)
+    return replace(calibrated, logs=logs, given=as_given(logs.fit), estimates=estimates, backlashes=every)
 
 
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...plant import CATALOGUE
 from ..estimation import CANNOT_BE_PREDICTED, Estimate, Fit, mostly_explained, predictions_apart, unexplained
@@ -78,8 +78,7 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
         found = doubts(logs, selection.accepted, models.final, proofs)
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere)
-    bare = replace(models, final=models.named, corrections=[])
-    bare = uncertainty.run(logs, bare)
+    bare = uncertainty.run(logs, models.as_named())
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
 
 
