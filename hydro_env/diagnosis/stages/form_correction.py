@@ -23,7 +23,7 @@ from .calibration import Calibrated
 from .candidates import Attempt, Selection, penalty_per_parameter
 
 __all__ = [
-    "Correction", "Models", "best_attempt", "correct", "correct_all", "given_on", "is_correction", "of_given", "run",
+    "Correction", "Models", "attempts", "best_attempt", "correct", "correct_all", "given_on", "is_correction", "of_given", "run",
     "with_correction",
 ]  # fmt: skip
 
@@ -80,36 +80,39 @@ class Models:
 def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     """Corrects the form of the effects that the model as given has, and estimates the noise again: what is left of their laws
     would be taken for an effect that is missing."""
-    logs, found, every = calibrated.logs, dict(calibrated.estimates), []
-    for p in distinct(found) if logs.fit.settings.uses("correct_form") else ():
-        better, kept = _with_given_corrected(logs.fit, p)
-        found.update(dict.fromkeys(logs.fit.channels_of(p), better))
+    logs, before, every = calibrated.logs, calibrated.estimates, []
+    found, fit = dict(before), logs.fit
+    for p in distinct(before) if fit.settings.uses("correct_form") else ():
+        better, kept = _with_given_corrected(fit, p)
+        found.update(dict.fromkeys(fit.channels_of(p), better))
         every += kept
     if not every:
         return calibrated, []
-    fit = logs.fit.with_noise_seen_by(found)
+    fit = fit.with_noise_seen_by(found)
     fit.rescore(distinct(found))
-    return replace(calibrated, logs=replace(logs, fit=fit), estimates=found), every
+    plain = {c: p for c, p in before.items() if p is not found[c]}
+    return replace(calibrated, logs=replace(logs, fit=fit), estimates=found, plain=plain), every
 
 
 def _with_given_corrected(fit: Fit, estimate: Estimate) -> tuple[Estimate, list[Correction]]:
-    """The estimate with those corrections of given effects that pay, one for each at most, and only such as belong to the law
+    """The estimate with the corrections of given effects that pay, the best of each effect, and only such as belong to the law
     itself: a curve that several effects share could take up a missing one.
 
-    They need not pay in independent samples: what is missing leaves few of these.
+    They need not pay in independent samples, of which what is missing leaves few.
     """
-    kept: list[Correction] = []
-    for _ in given_on(fit, estimate) if fit.rig.has_hidden_states else ():
-        best = None if fit.at_noise(estimate) else best_attempt(fit, estimate, [], shared=False)
-        if best is None or best.score >= estimate.cost:
-            break
-        kept.append(
-            Correction(best.effect, best.correction, best.channel, estimate.cost - best.estimate.cost)
-        )
-        estimate = best.estimate
-    if kept:
-        solve(fit, [estimate], SETTLE_ITERATIONS)
-    return estimate, kept
+    if not fit.rig.has_hidden_states or fit.at_noise(estimate):
+        return estimate, []
+    best: dict[tuple[str, int | None], Attempt] = {}
+    for t in sorted(attempts(fit, estimate, [], shared=False), key=lambda t: t.score):
+        if t.score < estimate.cost:
+            best.setdefault((t.effect, t.channel), t)
+    better = estimate
+    for (effect, channel), t in best.items():
+        of = effect_in(fit.rig, t.correction, channel)
+        better = t.estimate if better is estimate else with_correction(better, effect, of, channel)
+    solve(fit, [better] if best else [], SETTLE_ITERATIONS)
+    falls = {t: estimate.cost - t.estimate.cost for t in best.values()}
+    return better, [Correction(t.effect, t.correction, t.channel, fall) for t, fall in falls.items()]
 
 
 def run(given: Estimates, selection: Selection, verdict: str, before: Sequence[Correction]) -> Models:
@@ -185,11 +188,17 @@ def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
     return list(dict.fromkeys(every))
 
 
-def best_attempt(
+def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> Attempt | None:
+    """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones;
+    None if there is none."""
+    return min(attempts(fit, estimate, named), key=lambda t: t.score, default=None)
+
+
+def attempts(
     fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], shared: bool = True
-) -> Attempt | None:
-    """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones,
-    refitted; None if there is none. Those that several effects share and that repeat nothing of any are left out unless `shared`.
+) -> list[Attempt]:
+    """The estimates with a correction more of one of its effects `named` (with their channels) or of given ones, refitted. Those
+    that several effects share and that repeat nothing of any are left out unless `shared`.
 
     The known parameters have moved to make up for the form, so they begin where they are and where they were given. Those of a
     whole rig, whose simulations are slow, and those with a correction before this one begin where they are.
@@ -208,7 +217,7 @@ def best_attempt(
     solve(fit, every, TRY_ITERATIONS)
     for one, other in again.items():
         one.adopt(other)
-    return min(tries, key=lambda t: t.score, default=None)
+    return tries
 
 
 def correct_all(

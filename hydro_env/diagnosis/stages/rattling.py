@@ -9,7 +9,6 @@ simulations; the errors that are reported stay those of free ones.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -53,7 +52,8 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     estimates = {c: p.at(p.q.copy()) if c in found else p for c, p in calibrated.estimates.items()}
     solve(logs.fit, [estimates[c] for c in found], SETTLE_ITERATIONS)
     every = [*found.values(), *calibrated.backlashes]
-    return replace(calibrated, logs=logs, given=as_given(logs.fit), estimates=estimates, backlashes=every)
+    plain = {c: p for c, p in calibrated.plain.items() if c not in found}
+    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every, plain)
 
 
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:

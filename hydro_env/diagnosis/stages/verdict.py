@@ -34,7 +34,7 @@ CALIBRATION_VISIBLE, CALIBRATION_GAIN = 1.03, 6.0
 def decide(calibrated: Calibrated, selection: Selection) -> str:
     """The verdict by the fit logs."""
     fit, channels = selection.logs.fit, selection.logs.rig.channels
-    given, first = calibrated.given, selection.calibrated
+    given, first = calibrated.given, selection.calibrated | calibrated.plain
     found = selection.in_best_form()
     if selection.accepted:
         left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
