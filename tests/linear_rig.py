@@ -40,7 +40,7 @@ class LinearRig:
         return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
 
     def has(self, effect: str, channel: int | None) -> bool:
-        return False
+        return effect in self.model.declared
 
     def swing_period(self, channel: int) -> float:
         return inf
