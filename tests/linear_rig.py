@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import inf
 
 import numpy as np
 
@@ -41,9 +40,6 @@ class LinearRig:
 
     def has(self, effect: str, channel: int | None) -> bool:
         return effect in self.model.declared
-
-    def swing_period(self, channel: int) -> float:
-        return inf
 
     def candidates(self) -> list[str]:
         return list(dict.fromkeys(name.split(".")[0] for name in self.curves))

@@ -34,7 +34,9 @@ def test_the_swing_of_a_motor_is_no_noise(memory: int) -> None:
     used = np.ones(time.size, bool)
     own = Segment(0, 0, "speed", swing + noise, np.arange(time.size), used, 2e-3)
     rig = LinearRig({}, time)
-    rig.swing_period = lambda channel: 1.0 / 8.0  # type: ignore[method-assign]
+    D, V, beta = (rig.model.value(name, 0) for name in ("D", "V", "beta"))
+    swinging = {"J": D**2 * beta / V / (2.0 * np.pi * 8.0) ** 2, "Km": 1e-16, "B": 1e-6}
+    rig.model = rig.model.with_values(swinging)
     found, plain = noise_in(rig, own, own.measured), noise_floor(own.measured, used, 2e-3)  # type: ignore[arg-type]
     assert found == pytest.approx(plain if memory else 1.0, rel=0.1) and (memory or plain > 5.0)
 

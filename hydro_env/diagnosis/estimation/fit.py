@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import pi, sqrt
 
 import numpy as np
 
+from ...plant.scales import swing
 from ..models.base import BLOCK_S, Joined, RigModel, Segment
 from ..settings import Settings
 from .estimate import Estimate, Vector
@@ -34,8 +36,9 @@ def noise_in(rig: RigModel, segment: Segment, values: Vector) -> float:
     """Standard deviation of the noise that a signal or its residual (n,) shows, SI. Of a motor that swings on its lines a window
     may hold a swing, which no parabola follows: where much shorter windows show much less, that counts."""
     found = noise_floor(values, segment.used, segment.period)
-    window = SHARE_OF_SWING * rig.swing_period(segment.channel)
-    if window > WINDOW_S:
+    square, decay = swing(rig.model, segment.channel)
+    window = SHARE_OF_SWING * 2.0 * pi / sqrt(square)
+    if not rig.has_hidden_states or decay > 2.0 * sqrt(square) or window > WINDOW_S:
         return found
     short = noise_floor(values, segment.used, segment.period, window)
     return short if short < MUCH_LESS * found else found

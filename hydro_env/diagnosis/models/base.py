@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf, isfinite, isnan
+from math import isfinite, isnan
 from typing import Any, TypeVar
 
 import numpy as np
@@ -199,10 +199,6 @@ class RigModel:
     def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
         """The same model on other logs, with the accuracy of the proof."""
         raise NotImplementedError
-
-    def swing_period(self, channel: int) -> float:
-        """The time in which the given motor of a channel swings once on its lines, s; infinite if it does not."""
-        return inf
 
     def has(self, effect: str, channel: int | None) -> bool:
         """Whether the model as given has an effect on a channel (None: on any)."""

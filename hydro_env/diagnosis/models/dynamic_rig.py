@@ -7,14 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from itertools import zip_longest
-from math import exp, gcd, inf, pi, sqrt
+from math import exp, gcd, sqrt
 from typing import Any
 
 import numpy as np
 
 from ...plant import CATALOGUE, PARAMETERS, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
-from ...plant.scales import swing
 from ...units import RPM
 from ..input.parts import Part
 from .base import UNITS, Request, RigModel, given_parameters, view
@@ -117,10 +116,6 @@ class DynamicRig(RigModel):
             and e.family != FAMILY
             and (not e.family or e.name in self.model.declared)
         ]
-
-    def swing_period(self, channel: int) -> float:
-        square, decay = swing(self.model, channel)
-        return 2.0 * pi / sqrt(square) if decay < 2.0 * sqrt(square) else inf
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:

@@ -33,6 +33,8 @@ TRY_ITERATIONS = 8
 #: Corrections of one estimate at most, besides one for each given effect: in blind trials (docs/evidence/notes.md) a second one
 #: halved what four of five rigs left above the noise.
 MAX_CORRECTIONS = 2
+#: An effect, and its channel (None: the rig).
+Placed = tuple[str, int | None]
 #: No corrections that were tried.
 NONE: Mapping[Estimate, Attempt | None] = {}
 
@@ -79,40 +81,30 @@ class Models:
 
 def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     """Corrects the form of the effects that the model as given has, and estimates the noise again: what is left of their laws
-    would be taken for an effect that is missing."""
-    logs, before, every = calibrated.logs, calibrated.estimates, []
-    found, fit = dict(before), logs.fit
-    for p in distinct(before) if fit.settings.uses("correct_form") else ():
-        better, kept = _with_given_corrected(fit, p)
-        found.update(dict.fromkeys(fit.channels_of(p), better))
-        every += kept
-    if not every:
-        return calibrated, []
-    fit = fit.with_noise_seen_by(found)
-    fit.rescore(distinct(found))
-    plain = {c: p for c, p in before.items() if p is not found[c]}
-    return replace(calibrated, logs=replace(logs, fit=fit), estimates=found, plain=plain), every
+    would be taken for an effect that is missing.
 
-
-def _with_given_corrected(fit: Fit, estimate: Estimate) -> tuple[Estimate, list[Correction]]:
-    """The estimate with the corrections of given effects that pay, the best of each effect, and only such as belong to the law
-    itself: a curve that several effects share could take up a missing one.
-
-    They need not pay in independent samples, of which what is missing leaves few.
+    Of each effect the best correction that pays is kept, if it belongs to the law itself: a curve that several effects share
+    could take up a missing one. It need not pay in independent samples, of which what is missing leaves few.
     """
-    if not fit.rig.has_hidden_states or fit.at_noise(estimate):
-        return estimate, []
-    best: dict[tuple[str, int | None], Attempt] = {}
-    for t in sorted(attempts(fit, estimate, [], shared=False), key=lambda t: t.score):
-        if t.score < estimate.cost:
-            best.setdefault((t.effect, t.channel), t)
-    better = estimate
-    for (effect, channel), t in best.items():
-        of = effect_in(fit.rig, t.correction, channel)
-        better = t.estimate if better is estimate else with_correction(better, effect, of, channel)
-    solve(fit, [better] if best else [], SETTLE_ITERATIONS)
-    falls = {t: estimate.cost - t.estimate.cost for t in best.values()}
-    return better, [Correction(t.effect, t.correction, t.channel, fall) for t, fall in falls.items()]
+    logs, found, every = calibrated.logs, dict(calibrated.estimates), []
+    fit = logs.fit
+    able = fit.rig.has_hidden_states and fit.settings.uses("correct_form")
+    for p in [p for p in distinct(found) if able and not fit.at_noise(p)]:
+        best: dict[Placed, Attempt] = {}
+        for t in sorted(attempts(fit, p, [], shared=False), key=lambda t: t.score):
+            if t.score < p.cost:
+                best.setdefault((t.effect, t.channel), t)
+        better = p
+        for t in best.values():
+            of = effect_in(fit.rig, t.correction, t.channel)
+            better = t.estimate if better is p else with_correction(better, t.effect, of, t.channel)
+            every.append(Correction(t.effect, t.correction, t.channel, p.cost - t.estimate.cost))
+        solve(fit, [better] if best else [], SETTLE_ITERATIONS)
+        found.update(dict.fromkeys(fit.channels_of(p), better))
+    fit = fit.with_noise_seen_by(found) if every else fit
+    fit.rescore(distinct(found) if every else [])
+    plain = {c: p for c, p in calibrated.estimates.items() if p is not found[c]}
+    return replace(calibrated, logs=replace(logs, fit=fit), estimates=found, plain=plain), every
 
 
 def run(given: Estimates, selection: Selection, verdict: str, before: Sequence[Correction]) -> Models:
@@ -157,7 +149,7 @@ def with_correction(
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
 ) -> tuple[Estimate, list[Correction]]:  # fmt: skip
     """The estimate with those corrections of its effects `named` (with their channels) and of given ones that pay for themselves;
     the estimate itself if none does. `known` are the best corrections of estimates for which they were tried.
@@ -181,22 +173,20 @@ def correct(
     return estimate, kept
 
 
-def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
+def given_on(fit: Fit, estimate: Estimate) -> list[Placed]:
     """The effects that the model as given has on the channels of an estimate, each with its channel, None for the whole rig."""
     both = ((e, c) for c in fit.channels_of(estimate) for e in given_effects(fit.rig, c))
     every = ((e.name, None if e.scope == "rig" else c) for e, c in both if not is_correction(e.name))
     return list(dict.fromkeys(every))
 
 
-def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> Attempt | None:
+def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[Placed]) -> Attempt | None:
     """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones;
     None if there is none."""
     return min(attempts(fit, estimate, named), key=lambda t: t.score, default=None)
 
 
-def attempts(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], shared: bool = True
-) -> list[Attempt]:
+def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool = True) -> list[Attempt]:
     """The estimates with a correction more of one of its effects `named` (with their channels) or of given ones, refitted. Those
     that several effects share and that repeat nothing of any are left out unless `shared`.
 
@@ -221,7 +211,7 @@ def attempts(
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
 ) -> tuple[Estimates, list[Correction]]:  # fmt: skip
     """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)
