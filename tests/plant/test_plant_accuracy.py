@@ -216,6 +216,13 @@ def test_random_models_against_the_reference():
         assert against_reference(model, volts, load) < max(0.1, 1e-4 * np.abs(speed).max() / RPM), model
 
 
+def test_unlike_valves_behind_a_drooping_supply():
+    """Both channels of a rig take the same steps, though the friction of one spool asks for shorter ones."""
+    values = {"supply_droop.relative_drop": 0.3, "command_delay.delay": (0.0024, 0.0105), "s0": (3.0e5, 3.0e4)}
+    command = np.repeat(22.0 * np.array([[1.0, 0.5], [0.0, 0.3], [-0.6, 0.8], [0.4, -0.2]]), 15, axis=0)
+    assert _error_rpm(load_model("rig").with_values(values), command, np.zeros_like(command), 0.01) < 0.1
+
+
 def test_check_valves_of_small_lines_against_the_reference():
     """Check valves that pass much oil into lines that hold little, on a motor that hardly leaks."""
     values = {"anti_cavitation.conductance": 3e-9, "V": 2e-5, "Km": 2.653e-12}

@@ -183,7 +183,7 @@ class _Sweeps:
         for name, adding in states_of(at.effects).items():
             acts = " | ".join(filter(None, (_acts(effect, str) for effect, _ in adding)))
             lines += [f"{at.cell('counts__' + name)} = 1.0 if {acts} else 0.0"]
-        return [lines]
+        return [lines, *self._alike("longest", "<")]
 
     def start_row(self) -> list[list[str] | str]:
         """Commands within what the valves take, held for h seconds; no lane is lost yet. Rates stand where command and load are
