@@ -39,7 +39,7 @@ class LinearRig:
         return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
 
     def has(self, effect: str, channel: int | None) -> bool:
-        return False
+        return effect in self.model.declared
 
     def candidates(self) -> list[str]:
         return list(dict.fromkeys(name.split(".")[0] for name in self.curves))

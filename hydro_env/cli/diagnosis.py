@@ -41,7 +41,10 @@ def hide(
         str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
     ] = "setpoint,current,pressure,load",
     rate: Annotated[float, number("Rows per second.", Limits(10.0, 20_000.0))] = 1000.0,
-    duration: Annotated[float, number("Length of each log.", Limits(3.0, 3600.0, unit="s"))] = 12.0,
+    duration: Annotated[
+        float | None,
+        number("Length of each log; default: 12 s, more where motors start slowly.", Limits(3.0, 3600.0, unit="s")),
+    ] = None,
     play: Annotated[
         str | None, Option(metavar="CSV", help="Play these commands on the same rig; writes only played.csv.")
     ] = None,

@@ -48,6 +48,7 @@ DEFAULT = Settings()
 STAGES: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("model as given", consistency.run),
     ("calibrating known parameters", calibration.run),
+    ("correcting the form of given effects", form_correction.of_given),
     ("does a coupling rattle?", rattling.run),
     ("screening every effect", screening.run),
     ("selecting effects", selection.run),
@@ -120,7 +121,7 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
         return stage(*needs, **more)
 
     given = do(consistency.run, logs, accept)
-    calibrated = do(calibration.run, given)
+    calibrated, forms = do(form_correction.of_given, do(calibration.run, given))
     calibrated = do(rattling.run, calibrated, calibrated.estimates)
     while True:
         screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)
@@ -133,7 +134,7 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     logs = selected.logs
     first = do(verdict.decide, calibrated, selected)
     locations = do(localisation.run, logs.rig, selected.calibrated, first)
-    models = do(form_correction.run, calibrated.given, selected, first)
+    models = do(form_correction.run, calibrated.given, selected, first, forms)
     models = do(uncertainty.settle, logs, models)
     models = do(uncertainty.run, logs, models)
     unknown = list(uncertainty.undetermined(logs.rig))

@@ -18,7 +18,7 @@ from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
 if TYPE_CHECKING:
     from .catalogue import Effect
 
-__all__ = ["PAPER", "Rig", "Scales", "rated", "scales_of"]
+__all__ = ["PAPER", "Rig", "Scales", "rated", "scales_of", "swing"]
 
 #: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
 _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
@@ -156,6 +156,13 @@ def _preferred(ratio: float) -> float:
 def rated(model: Rig, channel: int) -> dict[str, float]:
     """What a channel has at its rated command, by the names of `Scales`, SI."""
     return _rated(lambda name: model.value(name, channel))
+
+
+def swing(model: Rig, channel: int) -> tuple[float, float]:
+    """How a motor swings on the oil of its lines while the valve holds: the square of its frequency, (rad/s)2, and how fast that
+    decays, 1/s (Merritt 1967, ch. 6). It swings where the decay is less than twice the frequency."""
+    D, J, B, Km, V, beta = (model.value(name, channel) for name in ("D", "J", "B", "Km", "V", "beta"))
+    return D**2 * beta / (V * J), Km * beta / V + B / J
 
 
 def _rated(value: Callable[[str], float]) -> dict[str, float]:

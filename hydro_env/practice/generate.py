@@ -34,9 +34,9 @@ from ..files import write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
-from .manoeuvres import RUNS
+from .manoeuvres import ROUND, RUNS
 from .played import plans_of
-from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text
+from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
 
@@ -72,7 +72,7 @@ class PracticeSettings:
     base_error  the rig's base parameters differ from the model's by up to this fraction (0.1: 10 %), each channel alone
     record      signals besides time, command and speed, of `RECORDABLE`; without "load" none is applied
     rate        rows per second, a multiple of 100 Hz or a rate below
-    duration    of each log, s, at least 3
+    duration    of each log, s, at least 3; None: one round, 12 s, up to ten times as long where motors start slowly
     seed        the same seed gives the same logs; manoeuvres, sizes, base parameters and forms have streams of their own
     forms       of the effects in the simulator, see `reference.FORMS`; "catalogue": the laws of the catalogue, as wherever a
                 user's effect is
@@ -86,7 +86,7 @@ class PracticeSettings:
     base_error: float = 0.0
     record: Sequence[str] = ("setpoint", "current", "pressure", "load")
     rate: float = 1000.0
-    duration: float = 12.0
+    duration: float | None = None
     seed: int = 0
     forms: str = "different"
     runs: Sequence[str] = tuple(RUNS)
@@ -102,7 +102,8 @@ class PracticeSettings:
                 if name not in known:
                     raise InputError(f"{field_name}: unknown {name!r}: {suggestion(name, known)}")
         for field_name, limits in _LIMITS.items():
-            limits.check(getattr(self, field_name), field_name)
+            if getattr(self, field_name) is not None:
+                limits.check(getattr(self, field_name), field_name)
         multiple = self.rate * CONTROL_PERIOD
         if multiple > 1.0 and abs(multiple - round(multiple)) > 1e-9:
             raise InputError(f"rate is {self.rate:g} Hz; expected a multiple of 100 Hz, or at most 100 Hz")
@@ -159,14 +160,15 @@ def make_practice(
     own = PracticeSettings(**settings)
     given = load_model(model)
     check_values(own.values, chosen, given)
+    duration = round(ROUND * stretch_of(given), 1) if own.duration is None else own.duration
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
-    hidden = choose(given, chosen, own.values, own.severity, own.duration, np.random.default_rng(size_seed))
+    hidden = choose(given, chosen, own.values, own.severity, duration, np.random.default_rng(size_seed))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
     constants = (
         scaled(draw(np.random.default_rng(form_seed)), scales_of(given)) if forms == "different" else None
     )
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
-    recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, own.duration)
+    recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, duration)
     logs = {}
     if own.play is not None:
         logs[PLAYED] = _played(own, given, recorder)
@@ -187,7 +189,7 @@ def make_practice(
         "base_error": own.base_error,
         "record": list(own.record),
         "rate_Hz": own.rate,
-        "duration_s": own.duration,
+        "duration_s": duration,
         "seed": own.seed,
         "forms": forms,
         "logs": {

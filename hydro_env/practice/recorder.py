@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..plant import Plant, PlantModel, Scales, scales_of
-from ..plant.scales import PAPER, rated
+from ..plant.scales import PAPER, rated, swing
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
 from .manoeuvres import Plan, plans
@@ -34,11 +34,15 @@ __all__ = [
     "Recorder",
     "columns_of",
     "log_text",
+    "stretch_of",
 ]
 
 Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.01  # s
+#: Time from standstill to the full command for which manoeuvres are long enough, s: about as long as they hold a step; and how
+#: many times as long they last at most where it takes longer: a round of two minutes.
+REACH, LONGEST = 0.25, 10.0
 #: Pressure above the tank's that no oil falls below, Pa.
 _VACUUM = -101325.0
 #: Forms of a rig that the compiled plant plays, with the laws of the catalogue.
@@ -139,24 +143,28 @@ class _Motor:
 
     @classmethod
     def of(cls, given: PlantModel, channel: int) -> _Motor:
-        value = {name: given.value(name, channel) for name in ("D", "J", "B", "Km", "V", "beta")}
+        value = {name: given.value(name, channel) for name in ("D", "J", "Km")}
         at = rated(given, channel)
-        swing = value["D"] ** 2 * value["beta"] / (value["V"] * value["J"])
-        decay = value["Km"] * value["beta"] / value["V"] + value["B"] / value["J"]
+        square, decay = swing(given, channel)
         start = value["J"] * at["flow"] / (value["D"] ** 2 * at["pressure"])
         full = at["flow"] / at["displacement"] / RPM
-        return cls(full, swing, decay, start, at["flow"] < value["Km"] * at["pressure"])
+        return cls(full, square, decay, start, at["flow"] < value["Km"] * at["pressure"])
 
     @property
     def ramp(self) -> float:
         """The time from standstill to the full command, s, in which the lines stay between tank and supply: three times what the
-        supply takes, and a swing; what an engineer sets at the amplifier. One second at most, as a manoeuvre has to end."""
-        calm = self.leaks or self.decay > 2.0 * math.sqrt(self.swing)
-        return (
-            0.0
-            if self.leaks
-            else min(1.0, max(3.0 * self.start, 0.0 if calm else 2.0 * math.pi / math.sqrt(self.swing)))
-        )
+        supply takes, and a swing; what an engineer sets at the amplifier. As a run has to end, it has a longest value."""
+        if self.leaks:
+            return 0.0
+        calm = self.decay > 2.0 * math.sqrt(self.swing)
+        once = 0.0 if calm else 2.0 * math.pi / math.sqrt(self.swing)
+        return min(LONGEST * REACH, max(3.0 * self.start, once))
+
+
+def stretch_of(given: PlantModel) -> float:
+    """How many times as long manoeuvres last on a rig as on the paper's, so that its ramps reach what they are to reach."""
+    ramps = [0.0] if _of_the_papers_size(given) else [_Motor.of(given, c).ramp for c in (0, 1)]
+    return max(1.0, max(ramps) / REACH)
 
 
 class _SpeedLoop:
@@ -225,7 +233,8 @@ class Recorder:
         """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
         plan_seed, noise_seed = seeds.spawn(2)
         steps, scales = max(1, round(self.duration / self.period)), scales_of(self.given)
-        found = [p.scaled(scales.speed, scales.torque) for p in plans(run, plan_seed, self.period, steps)]
+        every = plans(run, plan_seed, self.period / stretch_of(self.given), steps)
+        found = [p.scaled(scales.speed, scales.torque) for p in every]
         if not _of_the_papers_size(self.given):
             motors = [_Motor.of(self.given, c) for c in (0, 1)]
             step, full = self.period / max(1e-9, *(m.ramp for m in motors)), min(m.full for m in motors)

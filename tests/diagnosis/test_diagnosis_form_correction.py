@@ -10,13 +10,15 @@ import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns, joined, noise_of, solve
 from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.calibration import base_unknowns
+from hydro_env.diagnosis.stages.calibration import Calibrated, base_unknowns
 from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
+    of_given,
     with_correction,
 )
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
@@ -112,6 +114,66 @@ def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() ->
     best = search.form_of(search.present[0])
     assert best is not None and best.estimate.effects() == ["flow_gain_nonlinearity", "opening_shape"]
     assert fit.at_noise(best.estimate, 1.5) and not fit.at_noise(search.present[0], 5.0)
+
+
+ROWS = 4000
+_BEND, _OTHER = np.sin(83.0 * time_of(ROWS)), np.sin(111.0 * time_of(ROWS))
+#: Curves of a given effect's own correction, of one that it shares, and of three effects: one that the shared curve can take up,
+#: one that it imitates, and one that is nothing of both.
+BENDS = {
+    "orifice_shape.laminar": np.sin(60.0 * time_of(ROWS)),
+    "torque_shape.torque_4": _BEND,
+    "sensor_gain.gain": _BEND,
+    "sensor_offset.offset": _BEND + 2.0 * _OTHER,
+    "load_bias.bias": np.sin(137.0 * time_of(ROWS)),
+}
+GIVEN = {"pressure_dependent_flow.supply_pressure": 1e7, "line_loss.coefficient": 4e13}
+
+
+def _with_given(truth: dict[str, float]) -> tuple[Fit, Estimate]:
+    """A rig whose model has an orifice law and a line loss; its speed has the `truth`."""
+    fit, base = logged(BENDS, truth, ROWS)
+    fit.rig.model = load_model("paper").with_values(GIVEN)
+    return fit, base
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_the_form_of_a_given_effect_is_corrected_before_anything_is_named(missing: float) -> None:
+    """Also beside a missing effect, but not by a curve that could take that up."""
+    truth = {"orifice_shape.laminar": 0.2, "torque_shape.torque_4": 0.1, "load_bias.bias": missing}
+    fit, base = _with_given(truth)
+    before = Calibrated(Logs(fit, fit.rig, fit.rig), {}, {0: base}, [])
+    after, kept = of_given(before)
+    assert [(k.effect, k.correction, k.channel) for k in kept] == [
+        ("pressure_dependent_flow", "orifice_shape", 0)
+    ]
+    assert after.estimates[0].effects() == ["orifice_shape"] and after.plain == {0: base}
+    assert after.estimates[0].values(0)["orifice_shape.laminar"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_given_effect_of_the_right_form_is_left_alone() -> None:
+    fit, base = _with_given({})
+    before = Calibrated(Logs(fit, fit.rig, fit.rig), {}, {0: base}, [])
+    assert of_given(before) == (before, [])
+
+
+@pytest.mark.parametrize(
+    ("effect", "own", "stays"),
+    [("sensor_gain", 0.0, True), ("sensor_offset", 0.0, False), ("load_bias", 0.05, True)],
+)
+def test_an_effect_beside_given_ones_explains_more_than_their_form(
+    effect: str, own: float, stays: bool
+) -> None:
+    """As much with fewer numbers, or what no form of them explains."""
+    truth = {"torque_shape.torque_4": 0.1, "load_bias.bias": own}
+    fit, base = _with_given(truth)
+    name = next(n for n in BENDS if n.startswith(effect))
+    more = base.with_effect(effect, {name.split(".")[1]: 0.05})
+    solve(fit, [more], 6)
+    search = Search(fit, {0: base}, [], 4.0, {0: more})
+    search.accepted = [Accepted(effect, 0, 500.0, 18.0, {}, base)]
+    prefer_form(search)
+    assert [k.effect for k in search.accepted] == ([effect] if stays else [])
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

@@ -345,3 +345,17 @@ def test_logs_of_a_large_rig_are_those_of_its_size() -> None:
     wrong = {"load_bias.bias": 400.0}
     with pytest.raises(InputError, match="out of range; expected -1"):
         make_practice(["load_bias:1"], model=model, values=wrong)
+
+
+def test_manoeuvres_of_a_motor_that_starts_slowly_last_as_much_longer() -> None:
+    """Its ramps reach the full command, and its lines stay between tank and supply."""
+    slow = {"J": 0.015, "Km": 4e-12, "pressure_dependent_flow.supply_pressure": 50e5}
+    model = load_model("paper").with_values(slow)
+    found = make_practice(model=model, rate=50.0, seed=2, runs=("fit_1",))
+    log = found.logs["fit_1"]
+    lasts = found.truth["duration_s"]
+    assert lasts > 60.0 and lasts == pytest.approx(log["time_s"][-1], rel=0.01)
+    for c in (1, 2):
+        assert np.abs(log[f"command_{c}_V"]).max() > 0.95 * model.value("u_rated", c - 1)
+        assert np.abs(log[f"pressure_{c}_bar"]).max() < 50.0
+    assert make_practice(runs=("fit_1",), rate=50.0).truth["duration_s"] == 12.0

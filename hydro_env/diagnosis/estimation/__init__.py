@@ -15,7 +15,7 @@ uncertainty       block bootstrap
 from .early_window import best_on_early_window, grow_horizon
 from .estimate import Estimate, Vector, joined
 from .final_refinement import refine
-from .fit import Fit, Noise, noise_of
+from .fit import Fit, Noise, noise_in, noise_of
 from .fit_criteria import could_pay, far_from_noise, mostly_explained, unexplained
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from .multistart import restart_friction
@@ -46,7 +46,6 @@ __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
     "base_unknown", "bases_of", "best_on_early_window", "could_pay", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of", "joined", "less_taken",
-    "limited_by_effects", "mostly_explained", "noise_floor", "noise_of", "predictions_apart", "probability_of_gain", "refine",
-    "replica_differences", "restart_friction", "scaled", "solve", "step_all", "within",
-    "unexplained", "unpredictable",
+    "limited_by_effects", "mostly_explained", "noise_floor", "noise_in", "noise_of", "predictions_apart", "probability_of_gain",
+    "refine", "replica_differences", "restart_friction", "scaled", "solve", "step_all", "within", "unexplained", "unpredictable",
 ]  # fmt: skip

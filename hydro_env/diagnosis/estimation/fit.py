@@ -9,22 +9,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import pi, sqrt
 
 import numpy as np
 
-from ..models.base import BLOCK_S, Joined, RigModel
+from ...plant.scales import swing
+from ..models.base import BLOCK_S, Joined, RigModel, Segment
 from ..settings import Settings
 from .estimate import Estimate, Vector
-from .noise import effective_samples, noise_floor
+from .noise import WINDOW_S, effective_samples, noise_floor
 
-__all__ = ["Fit", "Noise", "noise_of"]
+__all__ = ["Fit", "Noise", "noise_in", "noise_of"]
 
 #: Standard deviations of the noise by (channel, signal), in SI.
 Noise = dict[tuple[int, str], float]
 #: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).
 MIN_SAMPLES = 8
+#: Windows of the noise for a motor that swings, as a share of the time of a swing, and what is much less noise than the usual
+#: ones show: coloured noise shows somewhat less in shorter windows, too.
+SHARE_OF_SWING, MUCH_LESS = 0.1, 0.5
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
+
+
+def noise_in(rig: RigModel, segment: Segment, values: Vector) -> float:
+    """Standard deviation of the noise that a signal or its residual (n,) shows, SI. Of a motor that swings on its lines a window
+    may hold a swing, which no parabola follows: where much shorter windows show much less, that counts."""
+    found = noise_floor(values, segment.used, segment.period)
+    square, decay = swing(rig.model, segment.channel)
+    window = SHARE_OF_SWING * 2.0 * pi / sqrt(square)
+    if not rig.has_hidden_states or decay > 2.0 * sqrt(square) or window > WINDOW_S:
+        return found
+    short = noise_floor(values, segment.used, segment.period, window)
+    return short if short < MUCH_LESS * found else found
 
 
 def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
@@ -35,7 +52,7 @@ def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
         for s in rig.segments[channel]:
             # Of the residual: a model, even a poor one, takes the fast movements out.
             error = s.measured - estimate.simulated[channel][s.place]
-            both = [noise_floor(x, s.used, s.period) for x in (error, s.measured)]
+            both = [noise_in(rig, s, x) for x in (error, s.measured)]
             found.setdefault(s.signal, []).append(float(np.nanmin(both)))
         for signal, values in found.items():
             noise[channel, signal] = max(float(np.nanmedian(values)), 1e-12)

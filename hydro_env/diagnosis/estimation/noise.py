@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["effective_samples", "noise_floor"]
+__all__ = ["WINDOW_S", "effective_samples", "noise_floor"]
+
+#: Length of the windows, s, about as long as the memory of a shaft with a leaky motor.
+WINDOW_S = 0.15
 
 #: A window counts if this share of its rows is there.
 FULL = 0.75
 
 
-def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_s: float = 0.15) -> float:
+def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_s: float = WINDOW_S) -> float:
     """Standard deviation of what no smooth curve explains: a low quantile over short windows about their own parabola.
 
     `residual` (T,) is measured minus simulated, which is smoother than the signal itself; where the model is poor the

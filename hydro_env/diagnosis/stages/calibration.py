@@ -46,13 +46,15 @@ FEW = 20
 @dataclass(frozen=True)
 class Calibrated:
     """The calibrated model beside the logs; `given` as in `Given`. `backlashes` are those of couplings that rattle, by a first
-    look: `logs` follow the measured speed there."""
+    look: `logs` follow the measured speed there. `plain` are the estimates of those channels on which the form of given effects
+    was corrected since, before that."""
 
     logs: Logs
     given: Estimates
     estimates: Estimates
     findings: list[Finding]
     backlashes: list[Screening] = field(default_factory=list)
+    plain: Estimates = field(default_factory=dict)
 
 
 def run(given: Given, chosen: Chosen | None = None) -> Calibrated:

@@ -3,13 +3,13 @@
 A rig's effect has another functional form than the catalogue's: a corner is rounded, a gain is no straight line, a lag has a
 second pole. Once an effect has its name, the corrections that belong to it are fitted jointly with its parameters and the base
 parameters. Each number of a correction has a prior about zero, and a correction stays only if the deviance of the fit logs
-falls by more than the penalty that a further effect would have to pay. It never names anything: effects are chosen without it,
-and where nothing is named there is nothing to correct.
+falls by more than the penalty that a further effect would have to pay. It never names anything: where nothing is named or given
+there is nothing to correct. Effects that the model as given has get their corrections before any is sought.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,19 +19,22 @@ from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
 from ..models.base import effect_in, given_effects
+from .calibration import Calibrated
 from .candidates import Attempt, Selection, penalty_per_parameter
 
 __all__ = [
-    "Correction", "Models", "best_attempt", "correct", "correct_all", "is_correction", "run",
+    "Correction", "Models", "attempts", "best_attempt", "correct", "correct_all", "given_on", "is_correction", "of_given", "run",
     "with_correction",
 ]  # fmt: skip
 
 
 #: Iterations of a joint refit with a correction; the one that is kept goes as far as it goes.
 TRY_ITERATIONS = 8
-#: Corrections of one estimate at most: in blind trials (docs/evidence/notes.md) a second one halved what four of five rigs left
-#: above the noise.
+#: Corrections of one estimate at most, besides one for each given effect: in blind trials (docs/evidence/notes.md) a second one
+#: halved what four of five rigs left above the noise.
 MAX_CORRECTIONS = 2
+#: An effect, and its channel (None: the rig).
+Placed = tuple[str, int | None]
 #: No corrections that were tried.
 NONE: Mapping[Estimate, Attempt | None] = {}
 
@@ -69,17 +72,50 @@ class Models:
         given, calibrated, named, final, placebo = changed(change, self.shown.values(), *every)
         return Models(given, calibrated, named, final, placebo, self.corrections)
 
+    def as_named(self) -> Models:
+        """The same without the corrections of what is named."""
+        left = {placed for p in self.named.values() for placed in p.placed_effects()}
+        kept = [k for k in self.corrections if (k.correction, k.channel) in left]
+        return replace(self, final=self.named, corrections=kept)
 
-def run(given: Estimates, selection: Selection, verdict: str) -> Models:
-    """Corrects the form of what is named or given."""
-    found, final = selection.estimates, given if verdict == "none" else selection.estimates
-    models = Models(given, selection.calibrated, found, final, selection.placebo)
-    fit = selection.logs.fit
-    if verdict not in ("effects", "calibration") or not fit.settings.uses("correct_form"):
-        return models
-    named = [(k.effect, k.channel) for k in selection.accepted]
-    final, corrections = correct_all(fit, found, named, selection.forms)
-    return replace(models, final=final, corrections=corrections)
+
+def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
+    """Corrects the form of the effects that the model as given has, and estimates the noise again: what is left of their laws
+    would be taken for an effect that is missing.
+
+    Of each effect the best correction that pays is kept, if it belongs to the law itself: a curve that several effects share
+    could take up a missing one. It need not pay in independent samples, of which what is missing leaves few.
+    """
+    logs, found, every = calibrated.logs, dict(calibrated.estimates), []
+    fit = logs.fit
+    able = fit.rig.has_hidden_states and fit.settings.uses("correct_form")
+    for p in [p for p in distinct(found) if able and not fit.at_noise(p)]:
+        best: dict[Placed, Attempt] = {}
+        for t in sorted(attempts(fit, p, [], shared=False), key=lambda t: t.score):
+            if t.score < p.cost:
+                best.setdefault((t.effect, t.channel), t)
+        better = p
+        for t in best.values():
+            of = effect_in(fit.rig, t.correction, t.channel)
+            better = t.estimate if better is p else with_correction(better, t.effect, of, t.channel)
+            every.append(Correction(t.effect, t.correction, t.channel, p.cost - t.estimate.cost))
+        solve(fit, [better] if best else [], SETTLE_ITERATIONS)
+        found.update(dict.fromkeys(fit.channels_of(p), better))
+    fit = fit.with_noise_seen_by(found) if every else fit
+    fit.rescore(distinct(found) if every else [])
+    plain = {c: p for c, p in calibrated.estimates.items() if p is not found[c]}
+    return replace(calibrated, logs=replace(logs, fit=fit), estimates=found, plain=plain), every
+
+
+def run(given: Estimates, selection: Selection, verdict: str, before: Sequence[Correction]) -> Models:
+    """Corrects the form of what is named or given; `before` are the corrections that the calibrated estimates have."""
+    fit, found = selection.logs.fit, selection.estimates
+    final, corrections = (given, []) if verdict == "none" else (found, [*before])
+    if verdict in ("effects", "calibration") and fit.settings.uses("correct_form"):
+        named = [(k.effect, k.channel) for k in selection.accepted]
+        final, more = correct_all(fit, found, named, selection.forms)
+        corrections += more
+    return Models(given, selection.calibrated, found, final, selection.placebo, corrections)
 
 
 def is_correction(effect: str) -> bool:
@@ -113,16 +149,16 @@ def with_correction(
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
 ) -> tuple[Estimate, list[Correction]]:  # fmt: skip
-    """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
-    itself if none does. `known` are the best corrections of estimates for which they were tried.
+    """The estimate with those corrections of its effects `named` (with their channels) and of given ones that pay for themselves;
+    the estimate itself if none does. `known` are the best corrections of estimates for which they were tried.
     """
     kept: list[Correction] = []
-    for number in range(MAX_CORRECTIONS):
+    for number in range(MAX_CORRECTIONS + len(given_on(fit, estimate))):
         if not fit.rig.has_hidden_states or fit.at_noise(estimate):
             break
-        best = known.get(estimate) or best_attempt(fit, estimate, named, [k.correction for k in kept])
+        best = known.get(estimate) or best_attempt(fit, estimate, named)
         if best is None:
             break
         better = replace(best.estimate)
@@ -137,26 +173,31 @@ def correct(
     return estimate, kept
 
 
-def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
+def given_on(fit: Fit, estimate: Estimate) -> list[Placed]:
     """The effects that the model as given has on the channels of an estimate, each with its channel, None for the whole rig."""
     both = ((e, c) for c in fit.channels_of(estimate) for e in given_effects(fit.rig, c))
     every = ((e.name, None if e.scope == "rig" else c) for e, c in both if not is_correction(e.name))
     return list(dict.fromkeys(every))
 
 
-def best_attempt(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], without: Collection[str] = ()
-) -> Attempt | None:
-    """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones,
-    refitted; None if there is none. Those `without` are left out.
+def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[Placed]) -> Attempt | None:
+    """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones;
+    None if there is none."""
+    return min(attempts(fit, estimate, named), key=lambda t: t.score, default=None)
+
+
+def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool = True) -> list[Attempt]:
+    """The estimates with a correction more of one of its effects `named` (with their channels) or of given ones, refitted. Those
+    that several effects share and that repeat nothing of any are left out unless `shared`.
 
     The known parameters have moved to make up for the form, so they begin where they are and where they were given. Those of a
     whole rig, whose simulations are slow, and those with a correction before this one begin where they are.
     """
-    tries = []
+    tries, present = [], set(estimate.placed_effects())
     for effect, channel in dict.fromkeys([*named, *given_on(fit, estimate)]):
         for correction, repeated in CORRECTIONS.get(effect, {}).items():
-            if not fit.rig.has(correction, channel) and correction not in without:
+            own_law = shared or repeated or len(CATALOGUE[correction].corrects) == 1
+            if own_law and not fit.rig.has(correction, channel) and (correction, channel) not in present:
                 own = len(CATALOGUE[correction].parameters) - len(repeated)
                 more = with_correction(estimate, effect, effect_in(fit.rig, correction, channel), channel)
                 tries.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
@@ -166,11 +207,11 @@ def best_attempt(
     solve(fit, every, TRY_ITERATIONS)
     for one, other in again.items():
         one.adopt(other)
-    return min(tries, key=lambda t: t.score, default=None)
+    return tries
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
 ) -> tuple[Estimates, list[Correction]]:  # fmt: skip
     """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)

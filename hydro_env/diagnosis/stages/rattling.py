@@ -52,7 +52,8 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     estimates = {c: p.at(p.q.copy()) if c in found else p for c, p in calibrated.estimates.items()}
     solve(logs.fit, [estimates[c] for c in found], SETTLE_ITERATIONS)
     every = [*found.values(), *calibrated.backlashes]
-    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every)
+    plain = {c: p for c, p in calibrated.plain.items() if c not in found}
+    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every, plain)
 
 
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:

@@ -24,7 +24,7 @@ from ..estimation import (
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
-from .form_correction import given_on
+from .form_correction import given_on, is_correction
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 from .search import Search, short_refit
@@ -139,9 +139,11 @@ def _worth_another(search: Search, c: int) -> bool:
     fit, present = search.fit, search.present[c]
     if not could_pay(fit, present, c):
         return False
-    if not fit.rig.has_hidden_states or not (present.effects() or given_on(fit, present)):
+    named = [e for e in present.effects() if not is_correction(e)]
+    if not fit.rig.has_hidden_states or not (named or given_on(fit, present)):
         return True
-    return could_pay(fit, search.in_other_form(present), c)
+    # Beside given effects alone a curve may take up a missing one; which of them it is, is decided at the end (`prefer_form`).
+    return (not named and unexplained(fit, present, c)) or could_pay(fit, search.in_other_form(present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -248,7 +250,7 @@ def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     better = less.cost < present.cost and fit.gain(present, less) > 0.0
     if better:
         search.put(c, less)
-        if not present.effects():  # the calibration itself had ended in a local minimum
+        if all(map(is_correction, present.effects())):  # the calibration itself had ended in a local minimum
             search.calibrated = {**search.calibrated, **dict.fromkeys(fit.channels_of(less), less)}
     return better
 
@@ -274,8 +276,8 @@ def _accept_best(
 
 # --- backward step ----------------------------------------------------------------------------------------------------------
 def prefer_form(search: Search) -> None:
-    """Drops the last effect of a channel if another form of those accepted before explains more: no rig has exactly the laws of
-    the catalogue, and what a law leaves is no further effect."""
+    """Drops the last effect of a channel if another form of those accepted before, or of given ones, explains more: no rig has
+    exactly the laws of the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
     if not (fit.rig.has_hidden_states and fit.settings.uses("prefer_form")):
         return
@@ -283,11 +285,14 @@ def prefer_form(search: Search) -> None:
         for one in reversed(search.on(c)):
             present, less = search.present[c], one.without
             left = [placed for placed in present.placed_effects() if placed != (one.effect, c)]
-            if not left or less is None or less.placed_effects() != left:
+            if less is None or less.placed_effects() != left or not (left or given_on(fit, less)):
                 break  # it is alone, or others joined it since
             form = search.form_of(less)
             if form is None or form.score >= present.cost + one.needed:
                 break
+            alone = all(is_correction(effect) for effect, _ in left)
+            if alone and fit.gain(form.estimate, search.in_other_form(present)) >= one.needed:
+                break  # beside given effects it pays in another form, as these do
             outcome, gain = "another form of the others does better", fit.gain(less, present)
             search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
             search.accepted.remove(one)

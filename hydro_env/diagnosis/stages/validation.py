@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation import noise_floor
+from ..estimation import noise_in
 from ..logs import Estimates, Logs
 from ..models.base import UNITS, RigModel
 from .form_correction import Models
@@ -99,5 +99,5 @@ def _noise(rig: RigModel, traces: dict[str, dict[int, np.ndarray]], channel: int
     for s in rig.segments[channel]:
         if s.signal == signal:
             errors = [s.measured - traces[name][channel][s.place] for name in ("calibrated", "after")]
-            found.append(min(noise_floor(error, s.used, s.period) for error in errors))
+            found.append(min(noise_in(rig, s, error) for error in errors))
     return float(np.median(found))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...plant import CATALOGUE
 from ..estimation import CANNOT_BE_PREDICTED, Estimate, Fit, mostly_explained, predictions_apart, unexplained
@@ -34,7 +34,7 @@ CALIBRATION_VISIBLE, CALIBRATION_GAIN = 1.03, 6.0
 def decide(calibrated: Calibrated, selection: Selection) -> str:
     """The verdict by the fit logs."""
     fit, channels = selection.logs.fit, selection.logs.rig.channels
-    given, first = calibrated.given, selection.calibrated
+    given, first = calibrated.given, selection.calibrated | calibrated.plain
     found = selection.in_best_form()
     if selection.accepted:
         left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
@@ -78,8 +78,7 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
         found = doubts(logs, selection.accepted, models.final, proofs)
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere)
-    bare = replace(models, final=models.named, corrections=[])
-    bare = uncertainty.run(logs, bare)
+    bare = uncertainty.run(logs, models.as_named())
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
 
 
