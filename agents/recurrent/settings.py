@@ -125,7 +125,9 @@ def read_settings(path: Path) -> Settings:
     tables = {"network": Sizes, "imitation": Imitation, "gradient": Gradient, "training": Training}
     groups = data.pop("groups", []) if isinstance(data, dict) else []
     if not isinstance(data, dict) or not all(isinstance(table, dict) for table in (*data.values(), *groups)):
-        raise InputError(f"{path}: should hold the tables {', '.join((*tables, 'env'))}, and perhaps a list of groups")
+        raise InputError(
+            f"{path}: should hold the tables {', '.join((*tables, 'env'))}, and perhaps a list of groups"
+        )
     for key in data:
         if key not in (*tables, "env"):
             raise InputError(f"{path}: unknown key {key!r}: {suggestion(key, [*tables, 'env', 'groups'])}")
@@ -142,7 +144,10 @@ def read_settings(path: Path) -> Settings:
             if key in others:
                 raise InputError(f"{where}{key} is the same for all groups: it belongs to gradient")
         own.append((_env(group.get("env", {}), env, where), settings))
-    for name, each in (("imitation", read["imitation"]), *(("gradient", g) for _, g in [*own, (env, read["gradient"])])):
+    for name, each in (
+        ("imitation", read["imitation"]),
+        *(("gradient", g) for _, g in [*own, (env, read["gradient"])]),
+    ):
         for key in ("rigs", "window"):
             if getattr(each, key) < 1:
                 raise InputError(f"{path}: {name}: {key} should be at least 1")

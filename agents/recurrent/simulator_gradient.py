@@ -208,7 +208,8 @@ class GradientStage:
         the weight of tracking; of each group, numbered from the second on."""
         s, kept = self.settings, self.optimiser.param_groups[0]
         self.optimiser.zero_grad(set_to_none=True)
-        rigs, found = sum(group.rigs.num_rigs for group in self.groups), {}
+        rigs = sum(group.rigs.num_rigs for group in self.groups)
+        found: dict[str, float] = {}
         for n, group in enumerate(self.groups):
             # A Lagrange multiplier with a proportional part, which damps it (Stooke, Achiam and Abbeel, Responsive safety in
             # reinforcement learning by PID Lagrangian methods, 2020).
@@ -218,7 +219,9 @@ class GradientStage:
             excess = min(said["tracking"] / bound - 1.0, 1.0) if bound else 0.0
             kept["excess"][n] += SMOOTHED * (excess - kept["excess"][n])
             kept["integral"][n] += INTEGRAL * excess
-            found |= {f"{key}{n + 1}" if n else key: value for key, value in {**said, "weight": weight}.items()}
+            found |= {
+                f"{key}{n + 1}" if n else key: value for key, value in {**said, "weight": weight}.items()
+            }
         for each in self.policy.parameters():
             assert each.grad is not None  # the heads have one as well
             each.grad /= rigs * s.window
@@ -238,7 +241,12 @@ class Group:
     """Rigs of one kind, driven in windows."""
 
     def __init__(
-        self, settings: Settings, env: dict[str, Any], own: Gradient, policy: RecurrentPolicy, stream: np.random.Generator
+        self,
+        settings: Settings,
+        env: dict[str, Any],
+        own: Gradient,
+        policy: RecurrentPolicy,
+        stream: np.random.Generator,
     ) -> None:
         self.settings, self.policy = own, policy
         self.rigs = Rigs(settings, own.rigs, own.window, int(stream.integers(2**40)), env)
@@ -264,8 +272,8 @@ class Group:
         return dict(zip(("difference", "tracking", "travel", "valves"), found, strict=True))
 
     def _drive(self) -> tuple[Tensor, Tensor]:
-        """The mean costs (num_rigs, 3) of a period, see `_costs`, and the mean loss of the notes, which can be differentiated by the
-        network's weights."""
+        """The mean costs (num_rigs, 3) of a period, see `_costs`, and the mean loss of the notes, which can be differentiated by
+        the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hydro_env.benchmark.cells import IDLE
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.search import Search, Task
@@ -30,12 +29,17 @@ from hydro_env.limits import Limits
 from hydro_env.plant import PlantModel
 from hydro_env.reading import read_json
 from hydro_env.tasks import draw_pairs
+from hydro_env.tasks.metrics import IDLE
 
 __all__ = ["compared", "rig_of"]
 
 TUNED = {"pid_tuned": "pid", "cross_coupled": "cross_coupled"}
 SCENARIOS = "setpoint_steps", "random_steps"
-METRICS = {"difference": "max_speed_difference_rpm", "tracking": "tracking_mae_rpm", "travel": "command_travel_per_s"}
+METRICS = {
+    "difference": "max_speed_difference_rpm",
+    "tracking": "tracking_mae_rpm",
+    "travel": "command_travel_per_s",
+}
 #: Episodes of a rig in a scenario, with other noise and courses, and the seed of the search for its gains.
 TIMES, SEED = 4, 10_000
 
@@ -83,7 +87,9 @@ def compared(rows: Mapping[str, Any], one: str, other: str, metric: str, draws: 
     """Share of comparisons that `one` wins, and the geometric mean of its ratio to `other`, with intervals over rigs."""
     both = [row for row in rows.values() if one in row and other in row]
     values = np.array([[[row[name][s][metric] for s in SCENARIOS] for name in (one, other)] for row in both])
-    idle = np.array([[[row[name][s]["idle"] > 0.0 for s in SCENARIOS] for name in (one, other)] for row in both])
+    idle = np.array(
+        [[[row[name][s]["idle"] > 0.0 for s in SCENARIOS] for name in (one, other)] for row in both]
+    )
     wins = np.where(idle[:, 0] == idle[:, 1], values[:, 0] < values[:, 1], idle[:, 1]).astype(float)
     ratio = np.log(np.maximum(values[:, 0], 1e-3) / np.maximum(values[:, 1], 1e-3))
     ratio[idle.any(axis=1) | ~np.isfinite(ratio)] = np.nan
@@ -99,7 +105,10 @@ def compared(rows: Mapping[str, Any], one: str, other: str, metric: str, draws: 
 def _shown(rows: Mapping[str, Any], names: Sequence[str]) -> None:
     for name in (*TUNED, *names):
         of = [row[name][s] for row in rows.values() if name in row for s in SCENARIOS]
-        print(name, {m: np.round(np.percentile([each[m] for each in of], [25, 50, 75]), 1).tolist() for m in METRICS})
+        print(
+            name,
+            {m: np.round(np.percentile([each[m] for each in of], [25, 50, 75]), 1).tolist() for m in METRICS},
+        )
     for name in names:
         for other in TUNED:
             for metric in ("difference", "tracking"):
@@ -122,12 +131,21 @@ def main() -> None:
         row = rows.setdefault(f"{given.split} {case}", {})
         for name, law in TUNED.items():
             if name not in row:
-                row[name] = driven(make_controller(_gains(law, given.split, case, given.out)), given.split, case)
+                row[name] = driven(
+                    make_controller(_gains(law, given.split, case, given.out)), given.split, case
+                )
         for name in given.controllers:
             if name not in row:
                 row[name] = driven(make_controller(name), given.split, case)
         write_json(path, rows)
-        print(case, {name: {s: [round(v, 1) for v in each[s].values()] for s in SCENARIOS} for name, each in row.items()}, flush=True)
+        print(
+            case,
+            {
+                name: {s: [round(v, 1) for v in each[s].values()] for s in SCENARIOS}
+                for name, each in row.items()
+            },
+            flush=True,
+        )
     _shown(rows, given.controllers)
 
 

@@ -30,9 +30,9 @@ def privileged_names(env: Any) -> tuple[str, ...]:
     """What the numbers of `info["privileged"]` are, of an environment made with `privileged=True`, single or many.
 
     What is drawn lies in [-1, 1] over its range, in the logarithm where it is drawn so: levels of the noise ("noise_speed", ...),
-    then parameters that have ranges in the mismatch that the environment was made with, of both valves ("Kq_1", "Kq_2", ...). Then true speeds,
-    currents and pressure differences, scaled like the observation, spool positions ("spool_1", 1.0 for 1 mm) and loads
-    ("load_1", 1.0 for the nominal torque; both on the paper's rig, on another one in proportion to its size). An FMU shows no
+    then parameters that have ranges in the mismatch that the environment was made with, of both valves ("Kq_1", "Kq_2", ...).
+    Then true speeds, currents and pressure differences, scaled like the observation, spool positions ("spool_1", 1.0 for 1 mm)
+    and loads ("load_1", 1.0 for the nominal torque; both on the paper's rig, on another one in proportion to its size). An FMU shows no
     spools. ValueError for an environment made without.
     """
     batch = getattr(getattr(env, "unwrapped", env), "batch", getattr(env, "unwrapped", env))
@@ -94,7 +94,11 @@ def _span(name: str, mismatch: Mismatch, model: PlantModel) -> tuple[Floats, Flo
 def _share(value: Floats, low: Floats, high: Floats, logarithmic: bool = False) -> Floats:
     """Values (N, n), -1 at the low and 1 at the high end (n,); 0 where there is nothing between them."""
     if logarithmic:
-        value, low, high = np.log(np.maximum(value, 1e-9 * low)), np.log(low), np.log(high)  # before the first reset 0
+        value, low, high = (
+            np.log(np.maximum(value, 1e-9 * low)),
+            np.log(low),
+            np.log(high),
+        )  # before the first reset 0
     return np.asarray((2.0 * value - low - high) / np.where(low < high, high - low, np.inf))
 
 

@@ -228,8 +228,16 @@ def _on_a_rig(case: int) -> Any:
     time_s = trace.period * np.arange(len(trace.speed_rpm))
     speeds.plot(time_s, trace.setpoint_rpm[:, 0], color=COLOURS[4], linewidth=0.8)
     for motor in (0, 1):
-        speeds.plot(time_s, trace.speed_rpm[:, 0, motor], color=COLOURS[motor], linewidth=1.1, label=f"motor {motor + 1}")
-        commands.step(time_s[1:], 100.0 * trace.command[:, 0, motor], color=COLOURS[motor], linewidth=0.9, where="pre")
+        speeds.plot(
+            time_s,
+            trace.speed_rpm[:, 0, motor],
+            color=COLOURS[motor],
+            linewidth=1.1,
+            label=f"motor {motor + 1}",
+        )
+        commands.step(
+            time_s[1:], 100.0 * trace.command[:, 0, motor], color=COLOURS[motor], linewidth=0.9, where="pre"
+        )
     speeds.legend(loc="upper right", fontsize=8)
     speeds.set_ylabel("speed, rpm")
     commands.set(ylabel="command, %", xlabel="time, s")

@@ -83,9 +83,9 @@ class Range(FileTable):
     """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
     (`uniform`) or evenly in its logarithm (`loguniform`).
 
-    `at_most` names a parameter drawn before that lowers the upper end. `common`: both valves have the same value. `meant_for` says for which plant the range holds, on
-    others what is drawn is scaled: "paper" for the paper's rig, by the size of the plant (`Scales`); a number is the value of the
-    plant's own parameter, which is divided by it.
+    `at_most` names a parameter drawn before that lowers the upper end. `common`: both valves have the same value. `meant_for`
+    says for which plant the range holds, on others what is drawn is scaled: "paper" for the paper's rig, by the size of the plant
+    (`Scales`); a number is the value of the plant's own parameter, which is divided by it.
     """
 
     fixed: Annotated[Any, AfterValidator(_two)] = None
@@ -280,7 +280,9 @@ class Mismatch:
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
         in_turn = self.healthy is None and cases[0] >= 0
         chosen = cases if in_turn else (streams.random(1)[:, 0] * 2 * len(names)).astype(int)
-        sick = np.ones(len(cases), np.bool_) if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
+        sick = (
+            np.ones(len(cases), np.bool_) if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
+        )
         shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
         for row, number in enumerate(chosen):
@@ -441,7 +443,15 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
         if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
             raise InputError(f"{where}: outside: no range reaches beyond those of {given.outside!r}")
     return Mismatch(
-        name, ranges, given.entropy, given.cases, outside, given.faults, given.summary, given.rig, given.healthy
+        name,
+        ranges,
+        given.entropy,
+        given.cases,
+        outside,
+        given.faults,
+        given.summary,
+        given.rig,
+        given.healthy,
     )
 
 
@@ -449,7 +459,9 @@ def _check_rig(rig: Mapping[str, Range], ranges: Mapping[str, Range], where: str
     """InputError for quantities of a rig that are unknown, lacking or not above zero."""
     for name, each in rig.items():
         if name not in QUANTITIES and name != PACE:
-            raise InputError(f"{where}: rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}")
+            raise InputError(
+                f"{where}: rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}"
+            )
         if min(each.low) <= 0.0:
             raise InputError(f"{where}: rig: {name} should be above zero")
     whole = rig.keys() - {PACE}

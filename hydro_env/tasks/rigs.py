@@ -58,7 +58,9 @@ def rig_values(drawn: Mapping[str, Floats], Fs: Floats, model: PlantModel) -> di
     speed = np.clip(5000.0 * (q["size"] / 2.0) ** -0.6 * q["speed"], 100.0, 5000.0) * RPM
     inertia = (q["size"] / 500.0) ** (5.0 / 3.0) * q["load"]  # kg m2; 1 of a motor of 500 cm3/rev
     starts = inertia * speed / (size * q["supply"] * BAR)  # s to the rated speed
-    fills = q["line"] * REVOLUTION * q["supply"] * BAR / (q["modulus"] * speed)  # s of rated flow to the supply pressure
+    fills = (
+        q["line"] * REVOLUTION * q["supply"] * BAR / (q["modulus"] * speed)
+    )  # s of rated flow to the supply pressure
     travel, k, beta = own["travel"], model.value("k", 0), model.value("beta", 0)
     m = k / (2.0 * pi * q["frequency"]) ** 2
     s0 = Fs / (q["bristle"] * travel)

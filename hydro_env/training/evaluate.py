@@ -22,10 +22,14 @@ METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae
 
 def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """Plant, control period and mismatch on which a policy trained with these arguments is scored: pairs of `val` for those
-    of `train`, rigs of `val_any` for those of `train_any`, otherwise the mismatch it is trained on (the plant's own pair, with other noise, if that is `null`)."""
+    of `train`, rigs of `val_any` for those of `train_any`, otherwise the mismatch it is trained on (the plant's own pair, with
+    other noise, if that is `null`)."""
     kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
     mismatch = env_kwargs.get("mismatch", "train")
-    return {**kwargs, "mismatch": VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch}
+    return {
+        **kwargs,
+        "mismatch": VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch,
+    }
 
 
 def evaluate(

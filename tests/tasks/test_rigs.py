@@ -102,5 +102,7 @@ def test_refused_where_it_means_nothing() -> None:
 def test_plant_model_of_a_case() -> None:
     """The values of a case make a model, which is then scored or tuned for by itself."""
     values = draw_pairs("test_any", [5]).values
-    model = PlantModel(values={n: tuple(v[0]) for n, v in values.items() if not n.startswith("speed_sensor.")})
+    model = PlantModel(
+        values={n: tuple(v[0]) for n, v in values.items() if not n.startswith("speed_sensor.")}
+    )
     assert model.pair("J") == tuple(values["J"][0])

@@ -52,8 +52,8 @@ AT_END = 0.01
 SCENARIOS = "setpoint_steps", "random_steps"
 COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
 RMS, WEAR, IDLING = 2.0, 5.0, 10.0
-"""How many rpm of the peak difference one of the RMS difference is worth, how many rpm of tracking error one whole rated command a
-second, and one rpm of it beyond the mark of the idle."""
+"""How many rpm of the peak difference one of the RMS difference is worth, how many rpm of tracking error one whole rated command
+a second, and one rpm of it beyond the mark of the idle."""
 ROOM = 10.0
 """Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need."""
 
@@ -62,8 +62,9 @@ ROOM = 10.0
 class Task:
     """The law, and what it is tuned for.
 
-    law: as for `law_of`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model file. mismatch: "train", or None ("own", "none") for the plant's own pair of
-    valves; "auto": "own" for a plant file that sets what "train" draws. scenarios: count equally.
+    law: as for `law_of`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
+    file. mismatch: "train", or None ("own", "none") for the plant's own pair of valves; "auto": "own" for a plant file that
+    sets what "train" draws. scenarios: count equally.
     """
 
     law: str = "pid"
@@ -276,7 +277,7 @@ def _account(
         "seed": wanted.seed,
         "control_period_s": wanted.period,
         "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {task.weight:g} (max_speed_difference_rpm + {RMS:g} "
-        f"rms_speed_difference_rpm) + {WEAR:g} command_variation; tracking counts {IDLING:g} times beyond {IDLE:g} of that at rest",
+        f"rms_speed_difference_rpm) + {WEAR:g} command_variation; tracking beyond {IDLE:g} of that at rest {IDLING:g} times",
         "optimiser": f"differential evolution, population {POPULATION}, {generations} generations",
         "began_with": [dict(gains) for gains in known],
         "plant_dtype": "float32",
