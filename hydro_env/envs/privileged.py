@@ -32,8 +32,8 @@ def privileged_names(env: Any) -> tuple[str, ...]:
     What is drawn lies in [-1, 1] over its range, in the logarithm where it is drawn so: levels of the noise ("noise_speed", ...),
     then parameters that have ranges in the mismatch that the environment was made with, of both valves ("Kq_1", "Kq_2", ...).
     Then true speeds, currents and pressure differences, scaled like the observation, spool positions ("spool_1", 1.0 for 1 mm)
-    and loads ("load_1", 1.0 for the nominal torque; both on the paper's rig, on another one in proportion to its size). An FMU shows no
-    spools. ValueError for an environment made without.
+    and loads ("load_1", 1.0 for the nominal torque; both on the paper's rig, on another one in proportion to its size). An FMU
+    shows no spools. ValueError for an environment made without.
     """
     batch = getattr(getattr(env, "unwrapped", env), "batch", getattr(env, "unwrapped", env))
     if batch.privileged is None:
