@@ -129,8 +129,8 @@ BAD = {
         ["stairs", "staircase"],
     ),
     "unknown split": (
-        ["benchmark", "pid_paper", "--split", "tests", "--out", "out"],
-        ["tests", "test_interp"],
+        ["benchmark", "pid_paper", "--split", "test_intrp", "--out", "out"],
+        ["test_intrp", "test_interp"],
     ),
     "no such suite": (["benchmark", "--suite", "quickly", "--out", "out"], ["quickly", "quick"]),
     "unknown effect": (["hide", "deadzone", "--out", "out"], ["deadzone", "dead_zone"]),

@@ -93,10 +93,15 @@ class _Sweeps:
 
     def _alike(self, row: str, worse: str) -> list[str]:
         """Text by which lanes that belong together have the same in a row, the worse."""
-        text, at = [], self.at
-        if any(e.couples_channels for e in at.effects):
-            text += [COUPLED.format(row=at.row(row), coupled=at.row("coupled"), worse=worse)]
-        return text + ([GROUPED.format(row=at.row(row))] if self.grouped else [])
+        grouped = [GROUPED.format(row=self.at.row(row))] if self.grouped else []
+        return self._coupled(row, worse) + grouped
+
+    def _coupled(self, row: str, worse: str) -> list[str]:
+        """Text by which channels that act on each other have the same in a row, the worse."""
+        at = self.at
+        if not any(e.couples_channels for e in at.effects):
+            return []
+        return [COUPLED.format(row=at.row(row), coupled=at.row("coupled"), worse=worse)]
 
     # --- parts of sweeps ------------------------------------------------------------------------------------------------
     @property
@@ -183,7 +188,7 @@ class _Sweeps:
         for name, adding in states_of(at.effects).items():
             acts = " | ".join(filter(None, (_acts(effect, str) for effect, _ in adding)))
             lines += [f"{at.cell('counts__' + name)} = 1.0 if {acts} else 0.0"]
-        return [lines, *self._alike("longest", "<")]
+        return [lines, *self._coupled("longest", "<")]
 
     def start_row(self) -> list[list[str] | str]:
         """Commands within what the valves take, held for h seconds; no lane is lost yet. Rates stand where command and load are
