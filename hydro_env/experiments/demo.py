@@ -238,7 +238,7 @@ def _on_a_rig(case: int) -> Any:
         commands.step(
             time_s[1:], 100.0 * trace.command[:, 0, motor], color=COLOURS[motor], linewidth=0.9, where="pre"
         )
-    speeds.legend(loc="upper right", fontsize=8)
+    speeds.legend(loc="lower left", fontsize=8)
     speeds.set_ylabel("speed, rpm")
     commands.set(ylabel="command, %", xlabel="time, s")
     return drawing
