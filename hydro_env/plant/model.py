@@ -166,7 +166,7 @@ class PlantModel:
         if effects:
             data["effects"] = effects
         if self.ranges:
-            data["ranges"] = {name: list(ends) for name, ends in self.ranges.items()}
+            data["ranges"] = {name: list(map(float, ends)) for name, ends in self.ranges.items()}
         if source:
             names = (*(n for n in self.values if "." not in n), *self.declared)
             data["sources"] = dict.fromkeys(names, source) if isinstance(source, str) else dict(source)
@@ -174,29 +174,4 @@ class PlantModel:
 
     def to_yaml(self, path: str | Path, source: str | Mapping[str, str] = "") -> None:
         """Writes the model file (atomically); `source` as in `to_dict`."""
-        write_text(Path(path), yaml.safe_dump(_exact(self.to_dict(source)), sort_keys=False))
-
-
-class _Float(float):
-    """A float that YAML reads back as one: `1e-05` would come back as text."""
-
-
-def _represent(dumper: yaml.SafeDumper, value: _Float) -> yaml.Node:
-    if math.isinf(value):
-        text = ".inf" if value > 0 else "-.inf"
-    else:
-        text = repr(float(value))
-        if "e" in text and "." not in text:
-            text = text.replace("e", ".0e")
-    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
-
-
-yaml.SafeDumper.add_representer(_Float, _represent)
-
-
-def _exact(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _exact(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_exact(value) for value in data]
-    return _Float(data) if isinstance(data, float) else data
+        write_text(Path(path), yaml.safe_dump(self.to_dict(source), sort_keys=False))

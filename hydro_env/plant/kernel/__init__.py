@@ -5,8 +5,7 @@ layout      where states, parameters and stages lie in the memory of a block
 laws        sources of laws and of the functions that they call: checks, and text
 statements  from the right-hand side and the laws of the effects to statements
 fused       products and sums of statements as fused operations
-template    the text of a generated module
-codegen     writes the module: sweeps over lanes
+codegen     writes the text of a module: sweeps over lanes
 module_cache  keeps it for the next process
 vector_ir   writes it, read by `hydro_env.ir`, as vector instructions
 machine_code  compiles them and keeps what was compiled
@@ -66,6 +65,10 @@ class Kernel:
     machine_code: MachineCode
     grouped: bool = False
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, and what another process unpickles, is compiled there, or already is."""
+        return compile_kernel, (self.effects, self.half, self.dtype, self.grouped)
+
     def room(self) -> NDArray[Any]:
         """Room for a block to be worked on (`cells`), from a cache line's beginning."""
         item = self.dtype.itemsize
@@ -80,12 +83,8 @@ _COMPILING = Lock()
 @lru_cache(maxsize=64)
 def _compiled(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
     with _COMPILING:
-        return _compiled_alone(effects, half, single, grouped)
-
-
-def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
-    module = module_of(effects, half, grouped)
-    code = machine_code(module.text, single)
+        module = module_of(effects, half, grouped)
+        code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
         effects=tuple(e.name for e in effects), half=half, rows=module.rows, num_rows=module.numbers["kept"],

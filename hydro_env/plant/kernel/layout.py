@@ -6,7 +6,7 @@ holds one name of all lanes; all rows of a block lie one after the other in a fl
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..catalogue import Effect, State
@@ -95,14 +95,6 @@ class Layout:
     def cell(self, name: str) -> str:
         """The cell of a name on lane `l`."""
         return f"cells[{self.row(name) * 2 * self.half} + l]"
-
-    def load(self, names: Iterable[str], used: Collection[str] | None = None) -> list[str]:
-        """Statements that load names, or those of them that are `used`."""
-        return [f"{name} = {self.cell(name)}" for name in names if used is None or name in used]
-
-    def store(self, names: Iterable[str]) -> list[str]:
-        """Statements that store names."""
-        return [f"{self.cell(name)} = {name}" for name in names]
 
 
 def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
