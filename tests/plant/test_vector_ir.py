@@ -46,14 +46,13 @@ def plain(a, b, h):
 
 def work(cells, h) -> int:
     found = 0
-    twice = 2.0 * h
     for l in range(LANES):
         a = cells[0 * LANES + l]
         b = cells[1 * LANES + l]
         cells[2 * LANES + l] = branchy(a, b) + h * rooted(a)
         found += a > 3.0
     for l in range(LANES):
-        cells[3 * LANES + l] = cells[2 * LANES + l] * twice
+        cells[3 * LANES + l] = cells[2 * LANES + l] * (2.0 * h)
     return found
 '''
 

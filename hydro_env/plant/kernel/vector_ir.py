@@ -1,6 +1,6 @@
 """Typed statements (`hydro_env.ir`) that work lane by lane as LLVM's vector instructions.
 
-A sweep of a generated kernel is a function `name(cells, h)` of statements on scalars and of loops
+A sweep of a generated kernel is a function `name(cells, h)` of loops
 
     for l in range(LANES):
         a = cells[3 * LANES + l]
@@ -50,8 +50,8 @@ class _Emitter:
     ) -> None:
         self.builder, self.functions, self.name = builder, functions, name
         self.cells, self.kind = cells, kind
-        self.lane: ir.Value | None = None  # index of the first lane of the vector at hand
-        self.width = 1
+        self.found = builder.alloca(FOUND)  # on how many lanes the test was passed
+        builder.store(FOUND(0), self.found)
 
     # --- values -----------------------------------------------------------------------------------------------------
     def _fail(self, what: str) -> TypeError:
@@ -78,7 +78,7 @@ class _Emitter:
 
     def _address(self, index: Expr) -> ir.Value:
         """Address of the cells of all lanes at hand: all but the lane is known."""
-        if index.op != "add" or index.args[0].known is None or self.lane is None:
+        if index.op != "add" or index.args[0].known is None:
             raise self._fail("a cell whose lane is not `l`")
         place = self.builder.add(self.lane, ir.Constant(ir.IntType(64), index.args[0].known))
         return self.builder.bitcast(self.builder.gep(self.cells, [place]), ir.PointerType(self._vector))
@@ -131,9 +131,8 @@ class _Emitter:
         """Runs statements; the value of the `return` they end in, None if they do not."""
         for number, each in enumerate(statements):
             match each:
-                case Assign(name, value) if value.kind == "int":
-                    passed = self._count(self.value(value.args[1].args[0], names))
-                    names[name] = self.builder.add(names[name], passed)
+                case Assign(_, value) if value.kind == "int":
+                    self._count(self.value(value.args[1].args[0], names))
                 case Assign(name, value):
                     names[name] = self.value(value, names)
                 case Store(_, index, value):
@@ -174,55 +173,42 @@ class _Emitter:
         with emit.if_then(emit.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0)), likely=False):
             self._block(body, names)
 
-    def _count(self, test: ir.Value) -> ir.Value:
-        """On how many lanes a test is passed."""
-        bits = self.builder.zext(self.builder.bitcast(test, ir.IntType(self.width)), FOUND)
-        return self.builder.ctpop(bits)
+    def _count(self, test: ir.Value) -> None:
+        """Counts the lanes on which a test is passed."""
+        emit = self.builder
+        passed = emit.ctpop(emit.zext(emit.bitcast(test, ir.IntType(self.width)), FOUND))
+        emit.store(emit.add(emit.load(self.found), passed), self.found)
 
     def _lanes(self, lanes: int, body: list[Statement], names: Names) -> None:
         """A loop over lanes, a vector at a time."""
+        emit, index = self.builder, ir.IntType(64)
         widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
-        width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
-        index = ir.IntType(64)
-        before, loop = self.builder.block, self.builder.append_basic_block("lanes")
-        after = self.builder.append_basic_block("done")
-        self.builder.branch(loop)
-        self.builder.position_at_end(loop)
-        self.lane = self.builder.phi(index)
-        self.width = width
-        inner = dict(names)
-        found = {each.name for each in body if isinstance(each, Assign) and each.value.kind == "int"}
-        marks = {name: self.builder.phi(FOUND) for name in found}
-        inner.update(marks)
-        self._block(body, inner)
-        for name, mark in marks.items():
-            mark.add_incoming(FOUND(0), before)
-            mark.add_incoming(inner[name], self.builder.block)
-        onward = self.builder.add(self.lane, ir.Constant(index, width))
+        self.width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
+        before, loop = emit.block, emit.append_basic_block("lanes")
+        emit.branch(loop)
+        emit.position_at_end(loop)
+        self.lane = emit.phi(index)  # the first lane of the vector at hand
+        self._block(body, dict(names))
+        onward = emit.add(self.lane, ir.Constant(index, self.width))
         self.lane.add_incoming(ir.Constant(index, 0), before)
-        self.lane.add_incoming(onward, self.builder.block)
-        self.builder.cbranch(self.builder.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
-        self.builder.position_at_end(after)
-        names.update({name: inner[name] for name in found})
-        self.lane, self.width = None, 1
+        self.lane.add_incoming(onward, emit.block)
+        after = emit.append_basic_block("done")
+        emit.cbranch(emit.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
+        emit.position_at_end(after)
 
     def sweep(self, statements: Iterable[Statement], names: Names) -> None:
-        """The statements of the sweep itself: scalars, one lane wide, and loops over lanes."""
-        found = FOUND(0)
+        """The statements of the sweep itself: loops over lanes, and the count that it returns."""
         for each in statements:
             match each:
-                case Return(Expr() as value):
-                    found = names[value.value]
                 case For(_, _, stop, _, body) if stop.known is not None:
                     self._lanes(stop.known, body, names)
-                case Assign(name, value) if value.kind == "int":
-                    names[name] = FOUND(value.known)
-                case Assign(name, value):
-                    vector = self.value(value, names)
-                    names[name] = self.builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
+                case Assign(_, value) if value.known == 0:
+                    pass
+                case Return(Expr(op="var")):
+                    pass
                 case _:
                     raise self._fail(type(each).__name__)
-        self.builder.ret(found)
+        self.builder.ret(self.builder.load(self.found))
 
 
 def _same(a: Expr, b: Expr) -> bool:
