@@ -13,7 +13,7 @@ import yaml
 from ..errors import InputError, suggestion
 from ..files import write_text
 from ..units import RPM
-from .catalogue import CATALOGUE, parameter_of
+from .catalogue.effect import CATALOGUE, parameter_of
 from .parameters import PARAMETERS
 from .validation import check_channel, wrong_values
 

@@ -15,8 +15,7 @@ from functools import lru_cache
 from typing import Any
 
 from .. import vector_math
-from ..catalogue import QUANTITIES, Effect, State
-from ..catalogue.effect import arguments
+from ..catalogue.effect import QUANTITIES, Effect, State, arguments
 from ..friction import bristles_left, friction_left
 from ..rhs import rates
 from . import laws
@@ -131,6 +130,12 @@ def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
     return body
 
 
+def _again(effects: Iterable[Effect], quantity: str, first: str, *moved: str) -> list[str]:
+    """Statements that make `quantity`__d from `first` by the laws of the effects, as if each NAME of `moved` were NAME__d."""
+    changed = {name: f"{name}__d" for name in (quantity, *moved)}
+    return [f"{quantity}__d = {first}", *chain(quantity, effects, changed)]
+
+
 def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
     return any(argument in arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
 
@@ -149,8 +154,7 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
     ]
     if _depends("force", effects, "spool"):
-        lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]
-        lines += chain("force", effects, {"force": "force__d", "spool": "spool__d"})
+        lines += ["spool__d = spool + 1e-7", *_again(effects, "force", "alpha * current", "spool")]
         lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
     return lines + _flow_slope(effects) + _leakage_slope(effects) + _filling(effects) + _shaft_slope(effects)
 
@@ -159,10 +163,9 @@ def _flow_slope(effects: tuple[Effect, ...]) -> list[str]:
     """How fast flow grows as the valve opens."""
     lines = ["flow_slope = Kq * sqrt(drive if drive > 0.0 else 0.0)"]
     if any("opening" in effect.laws for effect in effects):
-        lines += ["further = spool + 1e-7", "opening__d = further"]
-        lines += chain("opening", effects, {"opening": "opening__d", "spool": "further"})
+        lines += ["spool__d = spool + 1e-7", *_again(effects, "opening", "spool__d", "spool")]
         # Only what the effects add, so that a neutral one changes no bit.
-        lines += ["flow_slope = flow_slope * (1.0 + ((opening__d - further) - (opening - spool)) * 1e7)"]
+        lines += ["flow_slope = flow_slope * (1.0 + ((opening__d - spool__d) - (opening - spool)) * 1e7)"]
     return lines
 
 
@@ -173,18 +176,15 @@ def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
         lines += [
             "laminar__d = leakage_coefficient * pressure__d",
             "laminar = leakage_coefficient * pressure",
-            "leakage__d = laminar__d",
-            *chain("leakage", effects, {"leakage": "leakage__d", "pressure": "pressure__d"}),
+            *_again(effects, "leakage", "laminar__d", "pressure"),
             # Only what the effects add, so that a neutral one changes no bit.
             "leakage_slope = leakage_slope + positive(((leakage__d - laminar__d) - (leakage - laminar)) * 1e-3)",
         ]
     if _depends("drive", effects, "pressure") or _depends("flow", effects, "pressure"):
-        changed = {"drive": "drive__d", "flow": "flow__d", "pressure": "pressure__d"}
+        passed = "Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)"
         lines += [
-            "drive__d = 1.0",
-            *chain("drive", effects, changed),
-            "flow__d = Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)",
-            *chain("flow", effects, changed),
+            *_again(effects, "drive", "1.0", "pressure"),
+            *_again(effects, "flow", passed, "drive", "pressure"),
             "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
         ]
     return lines
@@ -195,8 +195,7 @@ def _filling(effects: tuple[Effect, ...]) -> list[str]:
     if not _depends("bulk_modulus", effects, "pressure"):
         return ["filling = 0.0"]
     return [
-        "bulk_modulus__d = beta",
-        *chain("bulk_modulus", effects, {"bulk_modulus": "bulk_modulus__d", "pressure": "pressure__d"}),
+        *_again(effects, "bulk_modulus", "beta", "pressure"),
         "filling = pressure_rate * ((bulk_modulus__d - bulk_modulus) / bulk_modulus) * 1e-3",
     ]
 
@@ -205,12 +204,12 @@ def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
     """How fast torque is lost as the speed rises."""
     lines = ["shaft_slope = viscous_friction"]
     if _depends("torque", effects, "speed") or _depends("motor_pressure", effects, "speed"):
-        changed = {"torque": "torque__d", "motor_pressure": "motor_pressure__d", "speed": "speed__d"}
-        lines += ["speed__d = speed + 1e-3", "torque__d = -load", "motor_pressure__d = pressure"]
-        lines += chain("motor_pressure", effects, changed) + chain("torque", effects, changed)
         lines += [
+            "speed__d = speed + 1e-3",
+            *_again(effects, "motor_pressure", "pressure", "speed"),
+            *_again(effects, "torque", "-load", "motor_pressure", "speed"),
             "shaft_slope = shaft_slope + positive("
-            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)"
+            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)",
         ]
     return lines
 
@@ -330,8 +329,7 @@ def _own_slopes(effects: tuple[Effect, ...]) -> tuple[list[str], dict[str, tuple
                 couplings[f"{name}__by_{driver}"] = name, solved
         for driver, (quantity, first, _) in _MEETS.items():
             if driver in asked and name in reads(chain(quantity, effects)):
-                lines += [f"{quantity}__d = {first}"]
-                lines += chain(quantity, effects, {quantity: f"{quantity}__d", name: f"{name}__d"})
+                lines += _again(effects, quantity, first, name)
                 lines += [f"{name}__acts = ({quantity}__d - {quantity}) * {1.0 / further!r}"]
                 acting[name] = driver
         drives[name] = further, f"u__{name}"
@@ -397,19 +395,17 @@ class _Hoist(ast.NodeTransformer):
     def __init__(self, constant: Iterable[str]) -> None:
         self.constant = set(constant)
         self.lines: list[str] = []
-        self.names: dict[str, str] = {}
+        self.names: list[str] = []
 
     def _is_constant(self, node: ast.AST) -> bool:
         names = list(_names(node))
         return bool(names) and self.constant.issuperset(names)
 
     def _name(self, node: ast.AST) -> str:
-        text = ast.unparse(node)
         # A variable may be assigned several times, so the same text need not mean the same.
-        name = f"k__{len(self.names)}"
-        self.lines.append(f"{name} = {text}")
-        self.names[name] = text
-        return name
+        self.names.append(f"k__{len(self.names)}")
+        self.lines.append(f"{self.names[-1]} = {ast.unparse(node)}")
+        return self.names[-1]
 
     def visit(self, node: ast.AST) -> Any:
         if isinstance(node, ast.BinOp | ast.Call | ast.IfExp) and self._is_constant(node):
