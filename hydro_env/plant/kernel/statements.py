@@ -1,7 +1,7 @@
 """From `rates` and the laws of the effects to statements of the generated text, one assignment to a line.
 
 What depends on the parameters alone is taken out of them (`Step.settling`), divisions by parameters become products. A line is
-looked at as a syntax tree (`target`, `reads`, `renamed`).
+looked at as a syntax tree (`target`, `reads`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 from .. import vector_math
@@ -21,7 +22,7 @@ from ..rhs import rates
 from . import laws
 from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of
 
-__all__ = ["Step", "call", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
+__all__ = ["Step", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
 
 #: Functions of vector_math that statements and laws may call.
 HELPERS = ("clip", "positive", "sign", "exp", "bell", "tanh", "cos", "sin")
@@ -59,51 +60,33 @@ def reads(lines: Iterable[str]) -> set[str]:
     return {name for line in lines for name in _parts(line)[1]}
 
 
-class _Rename(ast.NodeTransformer):
-    def __init__(self, changed: Mapping[str, str]) -> None:
-        self.changed = changed
-
-    def visit_Name(self, node: ast.Name) -> ast.Name:
-        return ast.Name(self.changed.get(node.id, node.id), node.ctx)
-
-
-def renamed(expression: str, changed: Mapping[str, str]) -> str:
-    """An expression with other names."""
-    return ast.unparse(_Rename(changed).visit(ast.parse(expression, mode="eval")))
-
-
 # --- laws -------------------------------------------------------------------------------------------------------------
 def _law_name(effect: Effect, part: str) -> str:
     return f"{effect.name}__{part}__law"
 
 
-def _asked(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
-    """What the arguments of a law are called in the generated text; `given` says what else an argument stands for."""
+def _call(
+    effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float], changed: Mapping[str, str]
+) -> str:  # fmt: skip
+    """A call of a law of an effect; `given` says what an argument stands for, and `changed` renames what is handed over."""
     own = {own: in_text(effect, own) for own in effect.names}
     if effect.shares is not None:
         own |= {shared: in_text(effect.shares, shared) for shared in effect.shares.names}
     own |= {argument: own.get(str(source), str(source)) for argument, source in given.items()}
-    return [own.get(argument, argument) for argument in arguments(law)]
+    asked = [own.get(argument, argument) for argument in arguments(law)]
+    return f"{_law_name(effect, part)}({', '.join(changed.get(name, name) for name in asked)})"
 
 
-def call(
-    effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float] | None = None
-) -> str:
-    """A call of a law of an effect: of a rate or decay of one of its states."""
-    return f"{_law_name(effect, part)}({', '.join(_asked(effect, law, given or {}))})"
-
-
-def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] | None = None) -> list[str]:
+def chain(
+    quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] = MappingProxyType({})
+) -> list[str]:
     """Statements that pass `quantity` through the laws of the effects; `changed` renames arguments."""
-    changed = changed or {}
     to = changed.get(quantity, quantity)
-    lines = []
-    for effect in effects:
-        law = effect.laws.get(quantity)
-        if law is not None:
-            asked = [to, *(changed.get(name, name) for name in _asked(effect, law, {})[1:])]
-            lines.append(f"{to} = {_law_name(effect, quantity)}({', '.join(asked)})")
-    return lines
+    return [
+        f"{to} = {_call(effect, quantity, law, {arguments(law)[0]: to}, changed)}"
+        for effect in effects
+        if (law := effect.laws.get(quantity)) is not None
+    ]
 
 
 def functions(effects: Iterable[Effect]) -> list[str]:
@@ -293,18 +276,19 @@ _MEETS = {
 }
 
 
-def _sum_of_rates(adding: Iterable[tuple[Effect, State]]) -> str:
-    """The rate of a state, of all that adds to it."""
-    return " + ".join(call(e, s.name + "_rate", s.rate, s.given) for e, s in adding)
+def _sum_of_rates(
+    adding: Iterable[tuple[Effect, State]], changed: Mapping[str, str] = MappingProxyType({})
+) -> str:
+    """The rate of a state, of all that adds to it; `changed` renames arguments."""
+    return " + ".join(_call(e, s.name + "_rate", s.rate, s.given, changed) for e, s in adding)
 
 
 def _decay(adding: tuple[Effect, State], name: str, further: float) -> str:
     """How fast a state falls back by what one effect adds to its rate."""
     effect, state = adding
     if state.decay is not None:
-        return call(effect, state.name + "_decay", state.decay, state.given)
-    rate = _sum_of_rates([adding])
-    changed = renamed(rate, {name: f"{name}__d"})
+        return _call(effect, state.name + "_decay", state.decay, state.given, {})
+    rate, changed = _sum_of_rates([adding]), _sum_of_rates([adding], {name: f"{name}__d"})
     return f"positive(({rate} - {changed}) * {1.0 / further!r})"
 
 
@@ -323,7 +307,7 @@ def _own_slopes(effects: tuple[Effect, ...]) -> tuple[list[str], dict[str, tuple
         asked = reads([f"{name}_rate = {rate}"])
         for driver, (small, solved) in drives.items():
             if driver in asked:
-                changed = renamed(rate, {driver: f"{driver}__d"})
+                changed = _sum_of_rates(adding, {driver: f"{driver}__d"})
                 lines += [f"{driver}__d = {driver} + {small!r}"]
                 lines += [f"{name}__by_{driver} = ({changed} - {name}_rate) * {1.0 / small!r}"]
                 couplings[f"{name}__by_{driver}"] = name, solved

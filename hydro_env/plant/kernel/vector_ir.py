@@ -50,6 +50,7 @@ class _Emitter:
     ) -> None:
         self.builder, self.functions, self.name = builder, functions, name
         self.cells, self.kind = cells, kind
+        self.bytes = 4 if isinstance(kind, ir.FloatType) else 8  # of a real number
         self.found = builder.alloca(FOUND)  # on how many lanes the test was passed
         builder.store(FOUND(0), self.found)
 
@@ -63,11 +64,7 @@ class _Emitter:
 
     @property
     def _suffix(self) -> str:
-        return f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
-
-    @property
-    def _align(self) -> int:
-        return 4 if isinstance(self.kind, ir.FloatType) else 8
+        return f"v{self.width}f{8 * self.bytes}"
 
     def _splat(self, scalar: ir.Value) -> ir.Value:
         """A scalar on all lanes."""
@@ -96,9 +93,9 @@ class _Emitter:
                 return found if isinstance(found.type, ir.VectorType) else self._splat(found)
             case "load" if x.args[0].known is not None:
                 pointer = emit.gep(self.cells, [ir.Constant(ir.IntType(64), x.args[0].known)])
-                return self._splat(emit.load(pointer, align=self._align))
+                return self._splat(emit.load(pointer, align=self.bytes))
             case "load":
-                return emit.load(self._address(x.args[0]), align=self._align)
+                return emit.load(self._address(x.args[0]), align=self.bytes)
             case "call":
                 return self._call(self.functions[x.value], [self.value(each, names) for each in x.args])
         operands = [self.value(each, names) for each in x.args]
@@ -157,14 +154,14 @@ class _Emitter:
     def _store(self, index: Expr, value: Expr, names: Names) -> None:
         """Stores a value to the cells of all lanes; `value if test else what is there` to those that pass the test."""
         if not (value.op == "where" and value.args[2].op == "load" and _same(value.args[2].args[0], index)):
-            self.builder.store(self.value(value, names), self._address(index), align=self._align)
+            self.builder.store(self.value(value, names), self._address(index), align=self.bytes)
             return
         test, new = (self.value(each, names) for each in value.args[:2])
         pointer = self._address(index)
         whole = ir.IntType(32)
         signature = ir.FunctionType(ir.VoidType(), [new.type, pointer.type, whole, test.type])
         function = self._declared(f"llvm.masked.store.{self._suffix}.p0{self._suffix}", signature)
-        self.builder.call(function, [new, pointer, ir.Constant(whole, self._align), test])
+        self.builder.call(function, [new, pointer, ir.Constant(whole, self.bytes), test])
 
     def _where_any(self, test: ir.Value, body: list[Statement], names: Names) -> None:
         """Statements that are left out where no lane of the vector passes a test; else they are run on all of them."""
@@ -182,8 +179,7 @@ class _Emitter:
     def _lanes(self, lanes: int, body: list[Statement], names: Names) -> None:
         """A loop over lanes, a vector at a time."""
         emit, index = self.builder, ir.IntType(64)
-        widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
-        self.width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
+        self.width = next(w for w in (16, 8, 4, 2, 1) if w * self.bytes <= _WIDEST and lanes % w == 0)
         before, loop = emit.block, emit.append_basic_block("lanes")
         emit.branch(loop)
         emit.position_at_end(loop)
