@@ -327,8 +327,8 @@ def step_of(effects: tuple[Effect, ...]) -> Step:
     own = [f"{name}_rate = {_sum_of_rates(adding)}" for name, adding in states.items()]
     decays, couplings, acting = _own_slopes(effects)
     hoist = _Hoist({*parameters_of(effects), *RECIPROCALS})
-    rates = hoist.take(_by_reciprocals(_rates_body(effects)))
-    slopes = hoist.take(_by_reciprocals(_slopes(effects))) + decays
+    rates = hoist.take(_rates_body(effects))
+    slopes = hoist.take(_slopes(effects)) + decays
     factors = [f"e_{name} = 1.0 / (ig + {name}_decay)" for name in states]
     eliminated = ["pull = alpha"]
     for name, driver in acting.items():
@@ -355,10 +355,6 @@ class _Reciprocals(ast.NodeTransformer):
         return node
 
 
-def _by_reciprocals(lines: Iterable[str]) -> list[str]:
-    return [ast.unparse(_Reciprocals().visit(ast.parse(line))) for line in lines]
-
-
 def needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
     """The assignments among `lines` that the wanted names depend on."""
     kept: list[str] = []
@@ -373,7 +369,7 @@ class _Hoist(ast.NodeTransformer):
     """Takes what depends on the parameters alone out of the statements of a sweep.
 
     `constant` names what is known beforehand. `take(lines)` gives the lines back with a name `k__n` in place of each
-    constant part; `lines` then holds the assignments that make these names, in order.
+    constant part, and divisions by `DIVISORS` as products; `lines` then holds the assignments that make these names, in order.
     """
 
     def __init__(self, constant: Iterable[str]) -> None:
@@ -399,10 +395,10 @@ class _Hoist(ast.NodeTransformer):
     def take(self, lines: Iterable[str]) -> list[str]:
         taken = []
         for line in lines:
-            name, node = target(line), ast.parse(line).body[0].value  # type: ignore[attr-defined]
+            name, node = target(line), _Reciprocals().visit(ast.parse(line)).body[0].value
             if self._is_constant(node) or isinstance(node, ast.Constant):
                 self.constant.add(name)
-                self.lines.append(line)
+                self.lines.append(f"{name} = {ast.unparse(node)}")
                 if not isinstance(node, ast.Name | ast.Constant):
                     line = f"{name} = {self._name(ast.Name(name, ast.Load()))}"
             else:
