@@ -4,7 +4,6 @@ integrator  the tableau, the estimate of the error and the control of the step, 
 layout      where states, parameters and stages lie in the memory of a block
 laws        sources of laws and of the functions that they call: checks, and text
 statements  from the right-hand side and the laws of the effects to statements
-fused       products and sums of statements as fused operations
 codegen     writes the text of a module: sweeps over lanes
 module_cache  keeps it for the next process
 vector_ir   writes it, read by `hydro_env.ir`, as vector instructions
@@ -15,9 +14,9 @@ Method: three stages of ROS3w and steps by measured error (see `integrator`), wi
 channel (coil, spool, bristle; pressure, speed) as the effects shape them, how the states of effects decay, what drives them, and
 what they do to leakage and force. It leaves out what else they act on, the angle, and the steepest fall of the spool's friction.
 
-Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
-text names each `fma` itself, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane gets the same bits
-whatever its neighbours, its place, the width of the block and the neutral effects that are compiled in.
+Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the reader
+fuses products and sums statement by statement, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane
+gets the same bits whatever its neighbours, its place, the width of the block and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
 module, compiled once for a set of effects and a width of blocks. The loops around the sweeps are compiled once for all.

@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 from ..catalogue import Effect
 from .driver import NUMBERS, SWEEPS
-from .fused import fused_lines
 from .integrator import CONTROL, ERRORS, METHOD, TOLERATED, integral_coefficients
 from .layout import (
     DIVISORS,
@@ -467,10 +466,9 @@ def _sweep(layout: Layout, name: str, parts: Parts) -> str:
         if isinstance(text, str):
             lines += text.splitlines()
         else:
-            body = list(fused_lines(text))
             if name == "attempt_step":
-                body = [f"if {layout.cell('todo')} > 0.0:", *("    " + line for line in body)]
-            lines += ["for l in range(LANES):", *("    " + line for line in body)]
+                text = [f"if {layout.cell('todo')} > 0.0:", *("    " + line for line in text)]
+            lines += ["for l in range(LANES):", *("    " + line for line in text)]
     if counted:
         lines += ["for l in range(LANES):"] if isinstance(texts[-1], str) else []
         lines += [f"    lanes += {layout.cell(counted)} > 0.0", "return lanes"]

@@ -7,8 +7,9 @@ A sweep of a generated kernel is a function `name(cells, h)` of loops
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
 As many lanes go to a vector as the widest registers hold. Left to Numba the compiler would have to find out types, variables and
-that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text:
-nothing is fused or reordered.
+that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text: its
+products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler fused by itself
+would depend on the effects compiled in and on the width of the block.
 
 `found += test` in a loop counts the lanes that pass a test (before the loop `found = 0`, and `return found` at the end). An `if`
 in a loop ends by storing to a cell: its statements run on all lanes of a vector if any lane passes, so what they store has to be
@@ -219,7 +220,7 @@ def llvm_text(text: str, single: bool) -> str:
     of float32, else of float64.
     """
     kind = ir.FloatType() if single else ir.DoubleType()
-    module, reader = ir.Module("sweeps"), Reader()
+    module, reader = ir.Module("sweeps"), Reader(fuses=True)
     for name, source in module_sources(text).items():
         if [a.arg for a in source.node.args.args] == ["cells", "h"]:
             reader.call(source, [Arr.of("double", "cells", (0,)), var("h", "double")])
