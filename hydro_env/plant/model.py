@@ -149,6 +149,10 @@ class PlantModel:
             self, values=kept, declared=tuple(n for n in self.declared if n != effect), ranges=ranges
         )
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> PlantModel:
+        """Itself: a model never changes."""
+        return self
+
     def to_dict(self, source: str | Mapping[str, str] = "") -> dict[str, Any]:
         """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from: one
         text for all, or one by name or effect."""
