@@ -87,7 +87,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     """The source of a rig with the effects of a model, at its values."""
     plant = Plant(model)
     model, kernel = plant.model, plant.kernel
-    reader = Reader(reserved=RESERVED)
+    reader = Reader(reserved=RESERVED, fuses=True)
     reader.reserve("exp", "tanh", "cos", "sin", "enter", "leave", "send", "arrive")
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-import textwrap
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ...plant.catalogue.effect import helpers_of
+from ...plant.catalogue.effect import arguments, called_by
 
 __all__ = ["apply_laws", "elementwise"]
 
@@ -21,18 +19,17 @@ def elementwise(law: Callable[..., float]) -> Callable[..., Any]:
     """A law of the catalogue, which is written for numbers, as a compiled function of arrays."""
     from numba import vectorize
 
-    return vectorize(_rebuilt(law))
+    for helper in called_by(law):
+        _callable_when_compiled(helper)
+    return vectorize(law)
 
 
-def _rebuilt(function: Callable[..., Any]) -> Any:
-    """The function from its source, with compiled functions in the place of those that it calls."""
-    from numba import njit
+@cache
+def _callable_when_compiled(helper: Callable[..., float]) -> None:
+    """Has compiled functions call a plain one."""
+    from numba.extending import register_jitable
 
-    space: dict[str, Any] = {"floor": np.floor, "sqrt": np.sqrt}
-    space |= {name: njit(_rebuilt(helper)) for name, helper in helpers_of(function).items()}
-    local: dict[str, Any] = {}
-    exec(textwrap.dedent(inspect.getsource(function)), space, local)
-    return local[function.__name__]
+    register_jitable(helper)
 
 
 def apply_laws(quantity: str, value: np.ndarray, effects: list[str], known: Mapping[str, Any]) -> np.ndarray:
@@ -44,9 +41,7 @@ def apply_laws(quantity: str, value: np.ndarray, effects: list[str], known: Mapp
         effect = CATALOGUE[name]
         law = effect.laws.get(quantity)
         if law is not None:
-            value = elementwise(law)(
-                value, *(argument(effect, a, known) for a in list(inspect.signature(law).parameters)[1:])
-            )
+            value = elementwise(law)(value, *(argument(effect, a, known) for a in arguments(law)[1:]))
     return value
 
 
