@@ -15,7 +15,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -200,12 +200,8 @@ def _with_arguments(algorithm: str) -> type[_Environment]:
 
 # --- files ------------------------------------------------------------------------------------------------------------
 class _File(FileTable):
+    environment: dict[str, Any] = Field(alias=ENV_ID)
     training: Training
-    environment: dict[str, Any] = Field(alias="HydraulicSync-v0")
-
-    @classmethod
-    def known_keys(cls) -> Collection[str]:
-        return (ENV_ID, "training")
 
 
 @dataclass(frozen=True)
