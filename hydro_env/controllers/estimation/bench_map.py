@@ -6,26 +6,37 @@ from functools import lru_cache
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Controller, Floats, Measurements
 from hydro_env.controllers.estimation.nominal import RATED_FLOW
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
-__all__ = ["on_the_bench"]
+__all__ = ["FromTheBench"]
 
 UNREAD = ((0.1, 0.8), (0.1, 0.8))
 """Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
 
 
-def on_the_bench(plant: Plant, flow: float = 1.0) -> ValveMap:
-    """What the valve bench finds of both valves of every rig: a slow sweep of each, its dead zones and normal flow gains
-    as `hydro-env valve-test` reports them, for a rig with `flow` times the rated flow of the paper's. Nothing else of the plant
-    is looked at; its state is used up: pass a copy.
-    """
-    found = _measured(_Rigs(plant), flow)
-    return ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
+class FromTheBench(Controller):
+    """A controller that had the valves on a bench beforehand: `valves` are a slow sweep of each, its dead zones and normal flow
+    gains as `hydro-env valve-test` reports them. Nothing else of the plant is looked at."""
+
+    needs = "bench"
+    valves: ValveMap
+
+    def prepare(self, plant: Plant) -> None:
+        """The state of the plant is used up."""
+        found = _measured(_Rigs(plant), self.scales.flow)
+        self.valves = ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
+
+    def start(self, measured: Measurements) -> None:
+        if not hasattr(self, "valves"):
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
+            )
+        super().start(measured)
 
 
 class _Rigs:

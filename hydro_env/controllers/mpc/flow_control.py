@@ -15,11 +15,10 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.estimation.bench_map import on_the_bench
-from hydro_env.controllers.estimation.valve_map import ValveMap
+from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.plant import Plant, PlantModel, Scales, scales_of
+from hydro_env.plant import PlantModel, Scales, scales_of
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
 
@@ -104,22 +103,13 @@ class AdaptiveFlow(ProbingFlow):
     settings = replace(NO_PROBING, planner=None)
 
 
-class BenchFlow(ProbingFlow):
+class BenchFlow(FromTheBench, ProbingFlow):
     """Had the valves on a bench. The paper's motor is known to it."""
 
-    needs = "bench"
     GAINS = (RATE, RISE, FALL)
     settings = NO_PROBING
-    valves: ValveMap | None = None
-
-    def prepare(self, plant: Plant) -> None:
-        self.valves = on_the_bench(plant, self.scales.flow)
 
     def _begun(self, measured: Measurements) -> FlowController:
-        if self.valves is None:
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
-            )
         law = super()._begun(measured)
         law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
         return law
