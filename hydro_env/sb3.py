@@ -54,22 +54,16 @@ class HydraulicSyncVecEnv(VecEnv):
         """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any. As
         Stable-Baselines3 has it, the options hold for this episode, and not for those after it."""
         seeds = self._seeds if any(each is not None for each in self._seeds) else None
-        groups: dict[int, list[int]] = {}  # rows with the same options, by the first of them
+        groups: dict[int, list[int]] = {}  # rows with the same options
         for row, options in enumerate(self._options):
-            first = next(
-                n for n, known in enumerate(self._options) if known is options or not (known or options)
-            )
-            groups.setdefault(first, []).append(row)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
-        for first, rows in groups.items():
+            groups.setdefault(id(options) if options else 0, []).append(row)
+        for rows in groups.values():
             mask = np.isin(np.arange(self.num_envs), rows)
-            seen, info = self.batch.reset(seed=seeds, options={**self._options[first], "reset_mask": mask})
-            observation[rows] = seen[rows]
+            options = {**self._options[rows[0]], "reset_mask": mask}
+            observation, info = self.batch.reset(seed=seeds, options=options)  # of all rows
             for row in rows:
-                infos[row] = _row(info, row)
+                self.reset_infos[row] = _row(info, row)
         self.batch.use_options()
-        self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
         return observation

@@ -19,7 +19,6 @@ from .batch import HydraulicSyncVectorEnv
 from .env_spec import OwnSpec
 from .observation import Noise
 from .own_functions import OwnObservation, OwnReward
-from .plants import PlantLike
 from .randomisation import SEED
 from .render import PICTURES, Window
 from .reward import Reward
@@ -163,7 +162,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._steps = 0
 
     @property
-    def plant(self) -> PlantLike:
+    def plant(self) -> Plant:
         """The plant, a batch of one."""
         return self.batch.plant
 

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plant import PlantModel, Scales
+from ..plant import Plant, PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
 from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
 from .observation import LIMIT, scales_on
-from .plants import PlantLike
 from .randomisation import Randomisation
 from .rollout import Rollout
 
@@ -102,7 +101,7 @@ def _share(value: Floats, low: Floats, high: Floats, logarithmic: bool = False) 
     return np.asarray((2.0 * value - low - high) / np.where(low < high, high - low, np.inf))
 
 
-def _shows(plant: PlantLike, name: str) -> bool:
+def _shows(plant: Plant, name: str) -> bool:
     """Whether the plant has this signal."""
     try:
         return plant.row_of(name) >= 0

@@ -14,8 +14,8 @@ from agents.true_map import true_map
 from hydro_env.controllers import CONTROLLERS, LAWS, make_controller
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
 from hydro_env.controllers.classical.pid import TABLE_III, Pid, per_rpm
+from hydro_env.controllers.estimation.bench_map import ValveMap
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Motor
-from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.controllers.tuning import linearised as linear
 from hydro_env.controllers.tuning import tune

@@ -109,16 +109,10 @@ class Feedback:
             swell=1e-12 * motor.compliance * NOMINAL["J"] / NOMINAL["D"] / RATED_FLOW / period if motor.damping else 0.0,
             push=NOMINAL["D"] / NOMINAL["J"], inertia=NOMINAL["J"], drag=motor.friction * NOMINAL["B"],
         )  # fmt: skip
-        pair = (num_rigs, 2)
-        self.state = FeedbackState(
-            np.zeros(pair),
-            np.zeros(pair),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs, int),
-        )
-        self._wanted, self._before = np.zeros((MAX_DELAY + 1, *pair)), np.zeros(num_rigs)
+        flow, apart = np.zeros((2, num_rigs, 2))
+        behind, short, sudden, self._before = np.zeros((4, num_rigs))
+        self.state = FeedbackState(flow, apart, behind, short, sudden, np.zeros(num_rigs, int))
+        self._wanted = np.zeros((MAX_DELAY + 1, num_rigs, 2))
 
     def reset(self, rows: Rows, speed: Floats) -> None:
         """The flow that holds the speeds (n, 2)."""
