@@ -162,8 +162,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def _make_plant(self, effects: tuple[str, ...]) -> Plant:
-        """The rigs. A model with a method `make_plant` is of something else, which code of its own simulates: what it makes has of
-        `Plant` all that is used here, with `lost` empty where it does not say what it could not follow."""
+        """The rigs. A model with a method `make_plant` is of something else, simulated by code of its own: what that makes has
+        all of `Plant` that is used here, with `lost` empty where it does not say what it could not follow."""
         if hasattr(self.model, "make_plant"):
             foreign: Plant = self.model.make_plant(self.num_envs, self.dtype)
             return foreign

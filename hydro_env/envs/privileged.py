@@ -93,11 +93,8 @@ def _span(name: str, mismatch: Mismatch, model: PlantModel) -> tuple[Floats, Flo
 def _share(value: Floats, low: Floats, high: Floats, logarithmic: bool = False) -> Floats:
     """Values (N, n), -1 at the low and 1 at the high end (n,); 0 where there is nothing between them."""
     if logarithmic:
-        value, low, high = (
-            np.log(np.maximum(value, 1e-9 * low)),
-            np.log(low),
-            np.log(high),
-        )  # before the first reset 0
+        least = 1e-9 * low  # before the first reset values are 0
+        value, low, high = (np.log(np.maximum(each, least)) for each in (value, low, high))
     return np.asarray((2.0 * value - low - high) / np.where(low < high, high - low, np.inf))
 
 

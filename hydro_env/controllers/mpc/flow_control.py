@@ -48,7 +48,7 @@ class ProbingFlow(Controller):
     settings = FlowSettings()
     """Beneath the gains."""
 
-    law: FlowController | None = None
+    law: FlowController
     _model: PlantModel | None = None
 
     def drives(self, model: PlantModel) -> None:
@@ -58,15 +58,13 @@ class ProbingFlow(Controller):
     def units_for(self, model: PlantModel) -> Scales:
         return scales_of(model) if leaks(model) else units_of(model)
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        super().reset(num_rigs, control_period)
-        self.law = None
+    def start(self, measured: Measurements) -> None:
+        self.law = self._begun(measured)
+
+    def take_in(self, measured: Measurements) -> None:
+        self.law.update(measured)
 
     def command(self, measured: Measurements) -> Floats:
-        if self.law is None:
-            self.law = self._begun(measured)
-        else:
-            self.law.update(measured)
         return self.law.command()
 
     def _begun(self, measured: Measurements) -> FlowController:
