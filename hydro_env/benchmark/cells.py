@@ -248,12 +248,11 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
 
 def with_summaries(cell: Cell) -> Cell:
     """The cell with what the values of each metric come to; resamples keep the share of each fault."""
-    of = {METRICS[name].of: METRICS[name] for name in cell.metrics}  # one metric has two names
-    once = {
-        law: summarise(cell.metrics[metric.name], strata=cell.faults, more=metric.more)
-        for law, metric in of.items()
+    summaries = {
+        name: summarise(values, strata=cell.faults, more=METRICS[name].more)
+        for name, values in cell.metrics.items()
     }
-    return replace(cell, summaries={name: once[METRICS[name].of] for name in cell.metrics})
+    return replace(cell, summaries=summaries)
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:

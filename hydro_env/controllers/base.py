@@ -76,8 +76,8 @@ OUTPUT_SHAPING = (SLEW, SHAPE)
 class Controller:
     """Drives both valves of every rig of a batch from what can be measured there.
 
-    Subclasses list their gains in `GAINS` and implement `start`, `command` and, if need be, `take_in`; anything else with a `reset`
-    and an `act` of the same meaning can be benchmarked as well. A gain may be a number, an array (2,) with
+    Subclasses list their gains in `GAINS` and implement `start`, `command` and, if need be, `take_in`; anything else with
+    a `reset` and an `act` of the same meaning can be benchmarked as well. A gain may be a number, an array (2,) with
     a value per channel, or an array (num_rigs, 1) with a value per rig; the latter is how a tuner tries
     many at once.
 

@@ -25,7 +25,6 @@ from ..tasks.mismatch import Mismatch, default_mismatch, load_mismatch
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from ..units import RPM
 from .env_spec import OwnSpec
-from .history import History
 from .observation import ERRORS, FRAME, LIMIT, Noise, noise_levels, scales_on, with_errors
 from .own_functions import OwnObservation, OwnReward, Signals, checked_rows
 from .privileged import Privileged
@@ -131,7 +130,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         sensing = np.concatenate([scales_on(self.scales), self.reward.weights(self.scales.speed)])
         self._rollout = Rollout(made, self.control_period, width, sensing, self.threads)
         self._randomisation = Randomisation(self.num_envs, self.model)
-        self._history = History(self.num_envs, self.history)
+        #: What each row showed last, (N, FRAME * history), oldest first.
+        self._frames = np.zeros((self.num_envs, width), np.float32)
         known = (self._rollout, self._randomisation, self.mismatch, self._noise, self.scales)
         #: What `info["privileged"]` holds; None where nobody asked for it.
         self.privileged = Privileged(*known) if privileged else None
@@ -155,7 +155,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         width = (FRAME + ERRORS * self.errors) * self.history
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
         if self._own_observation is not None:
-            width = self.seen(self._history.frames, self._true, finite=False).shape[1]
+            width = self.seen(self._frames, self._true, finite=False).shape[1]
             self.single_observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -200,7 +200,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._sense(rows, result)
         self._ended = self._ended & ~mask
         # These show what they showed last.
-        result[0][~mask], result[1][~mask] = self._history.frames[~mask], self._true[~mask]
+        result[0][~mask], result[1][~mask] = self._frames[~mask], self._true[~mask]
         self._true = result[1]
         return self.seen(result[0], self._true), self._info(self._true, mask) | self._drawn_info(mask)
 
@@ -444,8 +444,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._remember(rows, result)
 
     def _remember(self, rows: Rows, result: Result) -> None:
-        """What was sensed, to the history and to the pictures."""
-        self._history.add(result[0], rows, self._rollout.state["step"])
+        """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one again;
+        and keeps what was sensed, for the next period and for pictures."""
+        observation = result[0]
+        if self.history > 1:
+            new = rows[self._rollout.state["step"][rows] == 0]
+            observation[rows, :-FRAME] = self._frames[rows, FRAME:]
+            observation[new, :-FRAME] = np.tile(observation[new, -FRAME:], self.history - 1)
+        if rows.size == self.num_envs:  # copied faster
+            self._frames[:] = observation
+        else:
+            self._frames[rows] = observation[rows]
         if self._recorder is not None:
             self._recorder.add(rows, result[1], self._rollout.angle)
 

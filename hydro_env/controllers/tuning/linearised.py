@@ -97,7 +97,6 @@ def run(
         "table_iii": {key: list(value) for key, value in TABLE_III.items()},
         "relative_to_table_iii": near,
     }
-    Path(out).mkdir(parents=True, exist_ok=True)
     file = GainsFile(name=name or "pid_linear", controller="pid", gains=gains, units=UNITS, tuning=tuning)
     write_gains(Path(out) / "gains.json", file)
     return {"controller": "pid", "gains": gains, "units": UNITS, "tuning": tuning}
