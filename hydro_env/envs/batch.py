@@ -35,7 +35,7 @@ from .reward import Reward, load_reward
 from .rollout import Result, Rollout
 from .step_kernels import COLUMNS, STATE
 
-__all__ = ["HydraulicSyncVectorEnv", "Result"]
+__all__ = ["HydraulicSyncVectorEnv", "Result", "row_of"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -444,8 +444,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._remember(rows, result)
 
     def _remember(self, rows: Rows, result: Result) -> None:
-        """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one again;
-        and keeps what was sensed, for the next period and for pictures."""
+        """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one
+        again; and keeps what was sensed, for the next period and for pictures."""
         observation = result[0]
         if self.history > 1:
             new = rows[self._rollout.state["step"][rows] == 0]
@@ -479,6 +479,19 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         told: dict[str, Any] = {"mismatch": pairs | {"_" + name: mask for name in pairs}}
         told |= {"fault": drawn.fault.copy(), "case": drawn.case.copy()}
         return told | {"_" + key: mask for key in told}
+
+
+def row_of(info: dict[str, Any], row: int) -> dict[str, Any]:
+    """What a batch's info says of one row."""
+    own: dict[str, Any] = {}
+    for key, value in info.items():
+        if key.startswith("_") or key in ("final_obs", "final_info") or not info["_" + key][row]:
+            continue
+        if isinstance(value, dict):
+            own[key] = row_of(value, row)
+        else:
+            own[key] = value[row].copy() if value.ndim > 1 else value[row]
+    return own
 
 
 def _real(actions: ArrayLike) -> Floats:

@@ -253,11 +253,6 @@ class Mismatch(FileTable):
         named = {name.partition(".")[0] for name in self.parameters}
         return tuple(name for name in CATALOGUE if name in named)
 
-    @property
-    def random(self) -> bool:
-        """Whether pairs are drawn at all, or are always the same."""
-        return bool(self.faults or self.rig) or any(r.low != r.high for r in self.ranges.values())
-
     def case(self, seed: int, episode: int) -> int:
         """Number of the case that an episode of a seed meets, `seed` modulo the list in the first; -1 if endless."""
         return -1 if self.cases is None else (seed + CASE_STRIDE * episode) % self.cases
@@ -275,17 +270,13 @@ class Mismatch(FileTable):
             raise InputError(
                 f"mismatch {self.name!r} draws whole rigs in the units of the paper's: take the plant paper_dead_zone"
             )
-        if not self.random:
-            still = np.zeros((count, 2))
-            fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
-            return Pairs(fixed, ("",) * count)
         if cases[0] >= 0:
             streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
         else:
             streams = Streams(Component.PAIR, seeds, episodes, self.entropy)
-        values, rows = self._draw(streams), np.arange(count)
+        values, rows = self._draw(streams), np.arange(count if self.outside else 0)
         for _ in range(MAX_DRAWS):
-            rows = rows[self._inside({name: value[rows] for name, value in values.items()})]
+            rows = self._inside(values, rows)
             if not rows.size:
                 break
             for name, redrawn in self._draw(streams, rows).items():
@@ -313,11 +304,12 @@ class Mismatch(FileTable):
             values[name] = each.value(shares[:, column], values)
         return values
 
-    def _inside(self, values: Mapping[str, Floats]) -> NDArray[np.bool_]:
-        inside = np.full(len(next(iter(values.values()))), self.outside is not None)
+    def _inside(self, values: Mapping[str, Floats], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of some rows whose values all lie in the ranges that they are to leave."""
         for name, bounds in self._left.items():
-            inside &= ((values[name] >= bounds.low) & (values[name] <= bounds.high)).all(axis=1)
-        return inside
+            drawn = values[name][rows]
+            rows = rows[((drawn >= bounds.low) & (drawn <= bounds.high)).all(axis=1)]
+        return rows
 
     def _with_faults(
         self, values: dict[str, Floats], streams: Streams, cases: Sequence[int], model: PlantModel
