@@ -151,5 +151,5 @@ def scaled(values: ArrayLike, ends: tuple[float, float]) -> Floats:
 
 def normalised(summary: Summary, ends: tuple[float, float]) -> Summary:
     """A summary on such a scale."""
-    middle, *interval, worst = scaled((summary.iqm, *summary.ci95, summary.cvar95), ends)
-    return Summary(iqm=middle, ci95=interval, cvar95=worst, n=summary.n)
+    middle, low, high, worst = scaled((summary.iqm, *summary.ci95, summary.cvar95), ends)
+    return Summary(iqm=middle, ci95=(low, high), cvar95=worst, n=summary.n)

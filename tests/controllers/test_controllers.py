@@ -27,9 +27,10 @@ from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
 
-def test_pid_by_hand():
+def test_pid_by_hand(monkeypatch):
     """kp 2, ti 0.5 s, td 0.1 s, N 10 1/s at 0.1 s: every term worked out on paper."""
-    pid = Pid(0.1, 0.0, 2.0, 0.5, 0.1, filter_rate=10.0)
+    monkeypatch.setattr("hydro_env.controllers.classical.pid.FILTER_RATE", 10.0)
+    pid = Pid(0.1, 0.0, 2.0, 0.5, 0.1)
     # P = 2 e; I += 2 * 0.1/0.5 e = 0.4 e; D = (D + 2*0.1*10 de) / (1 + 1), no kick at the first sample
     assert pid.step(np.array(1.0), limits=(-100, 100)) == pytest.approx(2.0 + 0.4 + 0.0)
     assert pid.step(np.array(2.0), limits=(-100, 100)) == pytest.approx(4.0 + (0.4 + 0.8) + 1.0)
