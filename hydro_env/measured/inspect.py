@@ -81,9 +81,9 @@ def propose(path: str | Path, begun: dict[str, Any] | None = None) -> Proposal:
     if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
         draft.notes.append("the header is the rig log's own: no mapping is needed")
         try:
-            own = contract_mapping(names, path).model_dump(exclude_defaults=True, exclude_none=True)
+            own = contract_mapping(names).model_dump(exclude_defaults=True, exclude_none=True)
         except InputError as error:
-            return Proposal("", tuple(draft.notes), None, str(error))
+            return Proposal("", tuple(draft.notes), None, f"{path}: {error}")
         draft.content |= own
     else:
         _fill(draft, columns)

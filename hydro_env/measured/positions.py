@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import Source
+from hydro_env.measured.mapping import Mapped
 from hydro_env.units import REVOLUTION, unit
 
 __all__ = ["slope"]
@@ -16,13 +16,13 @@ MAX_WINDOW = 0.04
 NOISE = 0.003
 
 
-def slope(position: np.ndarray, time: np.ndarray, source: Source, channel: int) -> tuple[np.ndarray, Finding]:
+def slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.ndarray, Finding]:
     """The speed (T,) of a position (T,) in SI at times (T,): the difference over as few rows as its noise allows, centred.
 
     An angle that stays within one revolution is unwound first. Noise is that of differences of the second order, of which
     six times its variance is left (quantisation included).
     """
-    if unit(source.unit).quantity == "angle":
+    if unit(mapped.source.unit).quantity == "angle":
         position = _unwound(position)
     second = np.diff(position, 2)
     second = second[np.isfinite(second)]
@@ -35,8 +35,8 @@ def slope(position: np.ndarray, time: np.ndarray, source: Source, channel: int) 
         if 2 * rows > most or noise * 2**0.5 <= NOISE * (high - low) * 2 * rows * period:
             break
         rows *= 2
-    message = f"the speed of channel {channel} is the slope of {source.column!r} over {2 * rows} rows"
-    return speed, Finding("from_position", message, signal="speed", channel=channel, column=source.column)
+    message = f"the speed of channel {mapped.number} is the slope of {mapped.column!r} over {2 * rows} rows"
+    return speed, mapped.finding("from_position", message)
 
 
 def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:

@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import CONTRACT
+from hydro_env.measured.log import RigLog
+from hydro_env.measured.mapping import CONTRACT, Mapped
 from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
-
-if TYPE_CHECKING:
-    from hydro_env.measured.log import RigLog
 
 __all__ = ["MEASURED", "check_samples", "standing_out"]
 
@@ -43,26 +40,16 @@ class _Signal:
     that hold them, what was found and which samples (T,) are invalid."""
 
     log: RigLog
-    name: str
-    channel: int
-    column: str
+    mapped: Mapped
     rows: np.ndarray
-    values: np.ndarray
     findings: list[Finding] = field(default_factory=list)
-    invalid: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
+        self.name, self.channel = self.mapped.signal, self.mapped.channel or 0
+        self.period = self.log.period  # s
+        self.values = np.array(self.log.of(self.name, self.channel))
         self.invalid = np.zeros(len(self.values), bool)
-
-    @property
-    def period(self) -> float:
-        """Between rows, s."""
-        return self.log.period
-
-    @cached_property
-    def command(self) -> np.ndarray:
-        """The command of the channel (T,), V."""
-        return self.log.command_V[:, self.channel]
+        self.command = self.log.command_V[:, self.channel]
 
     @cached_property
     def swing(self) -> float:
@@ -83,11 +70,7 @@ class _Signal:
     def tell(self, code: str, message: str, hint: str, row: int | None = None, sure: bool = False) -> None:
         """Notes a finding about the column, which the message goes on from; `row` counts from 0."""
         line = None if row is None else int(self.rows[row])
-        self.findings.append(
-            Finding(
-                code, f"{self.column!r} {message}", hint, self.name, self.channel + 1, self.column, line, sure
-            )
-        )
+        self.findings.append(self.mapped.finding(code, f"{self.mapped.column!r} {message}", hint, line, sure))
 
     def shown(self, value: float) -> str:
         """A value as text, in the unit of the rig log."""
@@ -95,13 +78,9 @@ class _Signal:
         return with_unit(from_si(value, name), name, 4)
 
 
-def check_samples(
-    log: RigLog, signal: str, channel: int, rows: np.ndarray, column: str
-) -> tuple[list[Finding], np.ndarray]:
-    """Findings about a signal of a channel (0, 1), and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
-    values = log.get(signal)
-    assert values is not None
-    one = _Signal(log, signal, channel, column, rows, values[:, channel].copy())
+def check_samples(log: RigLog, mapped: Mapped, rows: np.ndarray) -> tuple[list[Finding], np.ndarray]:
+    """Findings about a signal of a channel, and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
+    one = _Signal(log, mapped, rows)
     _check(one)
     return one.findings, one.invalid
 
