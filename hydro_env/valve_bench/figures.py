@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
 from hydro_env.units import LPM
 from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, Monotone, loop_of, resolution
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of, peak_of
@@ -138,17 +137,16 @@ class Figures:
 def identify(curve: Curve) -> Figures:
     """The figures of one sweep. InputError if the curve has too little in it."""
     loop = loop_of(curve)
-    notes = [*curve.findings, *loop.findings]
+    notes = list(loop.findings)
     steps = resolution(curve.signal), resolution(curve.flow)
-    if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * float(np.abs(curve.flow).max()):
-        notes.append(
-            f"{curve.name}: recorded in steps of {100.0 * steps[0] / curve.rated:.2g} % of the rated signal and "
-            f"{100.0 * steps[1] / float(np.abs(curve.flow).max()):.2g} % of the largest flow, which limits every figure"
-        )
+    full = float(np.abs(curve.flow).max())
+    if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * full:
+        shares = f"{curve.percent(steps[0]):.2g} % of the rated signal and {100.0 * steps[1] / full:.2g} % of the largest flow"
+        notes.append(f"recorded in steps of {shares}, which limits every figure")
     found = _flow(curve, loop, steps, notes) if loop.kind == FLOW else _leakage(curve, loop, notes)
-    return Figures(
-        curve.name, loop.kind, curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal, tuple(notes), **found
-    )  # fmt: skip
+    findings = (*curve.findings, *(f"{curve.name}: {each}" for each in notes))
+    valve = curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal
+    return Figures(curve.name, loop.kind, *valve, findings, **found)
 
 
 def _flow(curve: Curve, loop: Loop, steps: tuple[float, float], notes: list[str]) -> dict[str, Any]:
@@ -180,14 +178,12 @@ def sides_of(
     sides: dict[int, Side | None] = {}
     for sign, word in ((1, "positive"), (-1, "negative")):
         if top[sign] < max(0.05 * whole, 6.0 * loop.bin_noise):
-            notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
+            notes.append(f"no {word} flow in the curve, its figures are left out")
             sides[sign] = None
         else:
             sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
     if sides[1] is None and sides[-1] is None:
-        raise InputError(
-            f"{curve.name}: the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min"
-        )
+        raise curve.refused(f"the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min")
     return sides
 
 
@@ -212,16 +208,13 @@ def _side(
     middle = sign * _middle(loop, sign * top * levels)
     use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
     if np.count_nonzero(use) < 10:
-        raise InputError(
-            f"{curve.name}: the branches share too little of the {word} flow; sweep both over the same range"
-        )
+        told = f"the branches share too little of the {word} flow"
+        raise curve.refused(f"{told}; sweep both over the same range")
     if not np.ptp(middle[use]) > 1e-6 * curve.rated:
-        raise InputError(
-            f"{curve.name}: the {word} flow jumps at one signal; record samples between, more slowly"
-        )
+        raise curve.refused(f"the {word} flow jumps at one signal; record samples between, more slowly")
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
     if not slope > 0.0:
-        raise InputError(f"{curve.name}: the {word} flow does not grow with the signal; is a column wrong?")
+        raise curve.refused(f"the {word} flow does not grow with the signal; is a column wrong?")
     straight = start + slope * levels * top
     between = (levels >= LINEAR[0]) & (levels <= LINEAR[1]) & inside
     off = float(np.max(np.abs(middle - straight)[between]))
@@ -239,14 +232,10 @@ def _side(
     # A straight curve reaches 99 % of its flow one hundredth of its length before the end.
     flat = end - full > 0.03 * end + (0.01 + slack) * (end - float(np.mean(edges)))
     if flat:
-        notes.append(
-            f"{curve.name}: the {word} flow is saturated from {100.0 * full / curve.rated:.0f} % of the rated signal on"
-        )
+        notes.append(f"the {word} flow is saturated from {curve.percent(full):.0f} % of the rated signal on")
     if end < 0.97 * curve.rated:
-        notes.append(
-            f"{curve.name}: the {word} side was driven to {100.0 * end / curve.rated:.0f} % of the rated signal only; "
-            "its maximum flow is that of this signal"
-        )
+        told = f"the {word} side was driven to {curve.percent(end):.0f} % of the rated signal only"
+        notes.append(f"{told}; its maximum flow is that of this signal")
     return Side(
         dead_zone=float(np.mean(edges)),
         dead_zone_uncertainty=float(np.max(spreads)) + 0.5 * (steps[0] + steps[1] * slope),
@@ -351,18 +340,14 @@ def _threshold(
         gone = left - sign * float(leaving.signal_at(sign * (full - step)))
         found.append(max(0.0, gone - step / side.gain))
     if not found:
-        notes.append(
-            f"{curve.name}: the threshold cannot be read off this sweep (saturated, noisy or coarse turns)"
-        )
+        notes.append("the threshold cannot be read off this sweep (saturated, noisy or coarse turns)")
         return None
     return 100.0 * float(np.mean(found)) / curve.rated
 
 
 def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> dict[str, Any]:
     """Figures of an internal leakage curve, by their names: its peak, its null, and the loop of its flanks."""
-    notes.append(
-        f"{curve.name}: the flow peaks near the null: read as internal leakage, not as flow over signal"
-    )
+    notes.append("the flow peaks near the null: read as internal leakage, not as flow over signal")
     flanks = flanks_of(loop)
     null = float(np.mean([peak_of(*flank) for flank in flanks.values()]))
     found: dict[str, Any] = {"null": null}

@@ -32,10 +32,7 @@ def draw_curves(valves: Sequence[Sequence[Curve]], figures: Sequence[Figures]) -
     edges: list[float] = []
     for n, (sweeps, found) in enumerate(zip(valves, figures, strict=True)):
         colour, style = COLOURS[n % len(COLOURS)], STYLES[n // len(COLOURS) % len(STYLES)]
-        slowest_first = sorted(
-            sweeps, key=lambda curve: 0.0 if curve.time is None else -float(np.ptp(curve.time))
-        )
-        for place, curve in enumerate(slowest_first):
+        for place, curve in enumerate(sorted(sweeps, key=lambda curve: -curve.seconds)):
             loop = loop_of(curve)
             for branch in loop.branches:
                 axis.plot(branch.signal * scale(curve), branch.flow / LPM, color=colour, linestyle=style,
@@ -60,7 +57,7 @@ def _label(curve: Curve, branch: Monotone, loop: Loop, sweeps: int) -> str | Non
         return None
     if sweeps == 1 or curve.time is None:
         return curve.name
-    return f"{curve.name}, {np.ptp(curve.time):.0f} s"
+    return f"{curve.name}, {curve.seconds:.0f} s"
 
 
 def _scale(curves: Sequence[Curve]) -> tuple[Any, str]:

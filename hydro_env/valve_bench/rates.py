@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hydro_env.errors import InputError
 from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, branches_of, loop_of
 from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
@@ -128,9 +127,7 @@ def _rate(curve: Curve, branch: Branch) -> float:
 def _sweep(curve: Curve, branches: list[Branch], rate: float) -> Sweep:
     loop = loop_of(curve, branches)
     if loop.rising is None or loop.falling is None:
-        raise InputError(
-            f"{curve.name}: a loop needs a rising and a falling branch; sweep the signal back again"
-        )
+        raise curve.refused("a loop needs a rising and a falling branch; sweep the signal back again")
     return Sweep(rate, _blocks(loop), _resolution(loop))
 
 
