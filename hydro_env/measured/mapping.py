@@ -26,8 +26,8 @@ model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -307,9 +307,6 @@ _BLANK: dict[str, Any] = {
 }
 
 
-_CHANNEL_COLUMN = re.compile(rf"({'|'.join(CHANNEL_SIGNALS)})_([12])_(\w+)")
-
-
 def contract_columns() -> tuple[str, ...]:
     """Every column that a rig log may have, in the order they are written."""
     main = ("command", "current", "pressure", "speed", "load")
@@ -322,11 +319,10 @@ def contract_columns() -> tuple[str, ...]:
 def contract_mapping(names: tuple[str, ...]) -> Mapping:
     """The mapping of a log with the rig log's own header `names`; `InputError` where a required column is missing."""
     channels: dict[str, dict[str, Any]] = {}
-    for name in names:
-        match = _CHANNEL_COLUMN.fullmatch(name)
-        if match and match[3] == CONTRACT[match[1]][0]:
-            source = {"column": name, "unit": CONTRACT[match[1]][1]}
-            channels.setdefault(f"channel_{match[2]}", {})[match[1]] = source
+    for channel, (signal, (ending, symbol)) in product((1, 2), CONTRACT.items()):
+        column = f"{signal}_{channel}_{ending}"
+        if column in names:
+            channels.setdefault(f"channel_{channel}", {})[signal] = {"column": column, "unit": symbol}
     needed = [f"{signal}_{c[-1]}_{CONTRACT[signal][0]}" for c in channels for signal in ("command", "speed")]
     for column in ("time_s", *(needed or ["command_1_V"])):
         if column not in names:
