@@ -20,7 +20,7 @@ HELD = ("command", "load", "setpoint")
 
 def field_of(signal: str) -> str:
     """The attribute of `RigLog` that holds a signal."""
-    return {"command": "command_V"}.get(signal, signal)
+    return {"command": "command_V", "time": "time_s"}.get(signal, signal)
 
 
 @dataclass(frozen=True)
@@ -167,10 +167,8 @@ class RigLog:
         return number, float(self.time_s[0]) + period * phase, int(np.floor(number[-1] + 0.5)) + 1
 
     def _with_rows(self, put: Any) -> RigLog:
-        changed: dict[str, Any] = {"time_s": put(self.time_s, "time")}
-        if self.late is not None:
-            changed["late"] = put(self.late, "late")
-        for signal in (*CHANNEL_SIGNALS, *RIG_SIGNALS):
+        changed: dict[str, Any] = {}
+        for signal in ("time", "late", *CHANNEL_SIGNALS, *RIG_SIGNALS):
             values = self.get(signal)
             if values is not None:
                 changed[field_of(signal)] = put(values, signal)

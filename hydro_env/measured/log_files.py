@@ -11,33 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.errors import InputError, nearest
-from hydro_env.files import replacing
-from hydro_env.measured.finding import Finding
-from hydro_env.measured.formats import read_table
-from hydro_env.measured.gate import (
-    SETTLE_S,
-    after_gaps,
-    check_clock,
-    check_log,
-    check_numbers,
-    check_units,
-    long_gap,
-)
-from hydro_env.measured.log import HELD, RigLog, field_of
-from hydro_env.measured.mapping import (
-    CONTRACT,
-    CONTRACT_RIG,
-    Mapped,
-    Mapping,
-    contract_columns,
-    contract_mapping,
-    load_mapping,
-)
-from hydro_env.measured.positions import slope
-from hydro_env.measured.samples import MEASURED
-from hydro_env.measured.table import Table, naming
-from hydro_env.units import from_si, unit
+from ..errors import InputError, nearest
+from ..files import replacing
+from ..units import from_si, unit
+from .finding import Finding
+from .formats import read_table
+from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, check_units, long_gap
+from .log import HELD, RigLog, field_of
+from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
+from .positions import slope
+from .samples import MEASURED
+from .table import Table, naming
 
 __all__ = ["read_log", "write_log"]
 
@@ -67,7 +51,7 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
 
 
 def _unknown_columns(table: Table) -> Iterator[Finding]:
-    known = set(contract_columns())
+    known = contract_columns()
     for name in table.names:
         if name and name not in known:
             near = nearest(name, known)
@@ -237,19 +221,14 @@ def write_log(path: str | Path, log: RigLog) -> None:
     path = Path(path)
     if "cylinder" in [log.kinds[channel] for channel in log.channels]:
         raise ValueError("the rig log's header knows rpm and N m only: it cannot hold a cylinder log")
-    columns: dict[str, np.ndarray] = {"time_s": log.time_s}
-    for signal, (column, symbol) in CONTRACT_RIG.items():
-        values = log.get(signal)
-        if values is not None:
-            columns[column] = from_si(values, symbol)
-    for signal, (ending, symbol) in CONTRACT.items():
-        for channel in log.channels:
-            if log.has(signal, channel):
-                columns[f"{signal}_{channel + 1}_{ending}"] = from_si(log.of(signal, channel), symbol)
-    header = [name for name in contract_columns() if name in columns]
+    columns = {
+        column: from_si(log.of(signal, channel), symbol)
+        for column, (signal, channel, symbol) in contract_columns().items()
+        if channel in (None, *log.channels) and log.has(signal, channel)
+    }
     text = io.StringIO()
-    rows = np.column_stack([columns[name] for name in header])
-    np.savetxt(text, rows, "%.12g", ",", header=",".join(header), comments="")
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(text, rows, "%.12g", ",", header=",".join(columns), comments="")
     content = text.getvalue().replace("nan", "").encode()
     with replacing(path) as file:
         # No time in the header of the gzip file: the same log gives the same bytes.

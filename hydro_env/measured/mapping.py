@@ -58,6 +58,7 @@ CONTRACT_RIG = {
     "setpoint": ("setpoint_rpm", "rpm"), "supply": ("supply_bar", "bar"), "temperature": ("temperature_C", "degC"),
 }  # fmt: skip
 CHANNEL_SIGNALS, RIG_SIGNALS = tuple(CONTRACT), tuple(CONTRACT_RIG)
+_CHANNELS = ("channel_1", "channel_2")
 #: What is measured on a cylinder where a motor has the former.
 _LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
 #: A speed may be given as the position whose slope it is.
@@ -307,36 +308,35 @@ _BLANK: dict[str, Any] = {
 }
 
 
-def contract_columns() -> tuple[str, ...]:
-    """Every column that a rig log may have, in the order they are written."""
-    main = ("command", "current", "pressure", "speed", "load")
-    columns = ["time_s", "setpoint_rpm"]
-    for group in (main, ("spool", "flow"), LINES):
-        columns += [f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in group]
-    return (*columns, "supply_bar", "temperature_C")
+def contract_columns() -> dict[str, tuple[str, int | None, str]]:
+    """Every column that a rig log may have, in the order they are written: its signal, the channel and the unit."""
+    rig = {column: (signal, None, symbol) for signal, (column, symbol) in CONTRACT_RIG.items()}
+    found: dict[str, tuple[str, int | None, str]] = {"time_s": ("time", None, "s")}
+    found["setpoint_rpm"] = rig.pop("setpoint_rpm")
+    for group in (("command", "current", "pressure", "speed", "load"), ("spool", "flow"), LINES):
+        for channel, signal in product((0, 1), group):
+            ending, symbol = CONTRACT[signal]
+            found[f"{signal}_{channel + 1}_{ending}"] = signal, channel, symbol
+    return found | rig
 
 
 def contract_mapping(names: tuple[str, ...]) -> Mapping:
     """The mapping of a log with the rig log's own header `names`; `InputError` where a required column is missing."""
-    channels: dict[str, dict[str, Any]] = {}
-    for channel, (signal, (ending, symbol)) in product((1, 2), CONTRACT.items()):
-        column = f"{signal}_{channel}_{ending}"
+    content: dict[str, Any] = {}
+    for column, (signal, channel, symbol) in contract_columns().items():
         if column in names:
-            channels.setdefault(f"channel_{channel}", {})[signal] = {"column": column, "unit": symbol}
-    needed = [f"{signal}_{c[-1]}_{CONTRACT[signal][0]}" for c in channels for signal in ("command", "speed")]
-    for column in ("time_s", *(needed or ["command_1_V"])):
+            owner = content if channel is None else content.setdefault(f"channel_{channel + 1}", {})
+            owner[signal] = {"column": column, "unit": symbol}
+    present = [key[-1] for key in _CHANNELS if key in content] or ["1"]
+    needed = [f"{signal}_{c}_{CONTRACT[signal][0]}" for c in present for signal in ("command", "speed")]
+    for column in ("time_s", *needed):
         if column not in names:
             raise _missing(column, names)
-    rig = {
-        signal: {"column": column, "unit": symbol}
-        for signal, (column, symbol) in CONTRACT_RIG.items()
-        if column in names
-    }
-    return Mapping.model_validate({"time": {"column": "time_s"}, **rig, **channels})
+    return Mapping.model_validate(content)
 
 
 def _missing(column: str, names: tuple[str, ...]) -> InputError:
-    known = set(contract_columns())
+    known = contract_columns()
     if names and all(name.isdecimal() for name in names):
         return InputError(
             "holds numbers where the header should be; add the line of column names, or say in a mapping file what the columns "

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from hydro_env.errors import InputError
 from hydro_env.plant import PlantModel, load_model, preset_names
 from hydro_env.units import LPM
-from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, loop_of
+from hydro_env.valve_bench.curve import FLOW, Curve, loop_of
 from hydro_env.valve_bench.figures import Figures, identify
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
@@ -82,20 +82,18 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
     """
     how = how or Sweeps()
     if not valves:
-        raise InputError(
-            f"name a valve: a preset ({', '.join(preset_names())}), a model file or a measured curve"
-        )
+        known = ", ".join(preset_names())
+        raise InputError(f"name a valve: a preset ({known}), a model file or a measured curve")
     files = [text for text in valves if not _is_model(text)]
     models = [(text, valve) for text in valves if text not in files for valve in _valves_of(text)]
     if len(how.periods) not in (0, 1, len(files)):
-        raise InputError(
-            f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files: one for all, or one each"
-        )
+        told = f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files"
+        raise InputError(f"{told}: one for all, or one each")
     tested, curves = [], []
     with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
         for text, valve in models:
-            named = {"signal": how.signal, "name": valve.name}
-            sweeps = record_rates(valve.model, valve.channel, how.seconds, **named)
+            how_swept = {"signal": how.signal, "name": valve.name}
+            sweeps = record_rates(valve.model, valve.channel, how.seconds, **how_swept)
             tested.append(_tested(text, sweeps, valve))
             bar.update()
         for n, text in enumerate(files):
@@ -147,12 +145,11 @@ def _valves_of(text: str) -> list[Valve]:
 def _tested(source: str, sweeps: list[Curve], model: Valve | None = None) -> Tested:
     """The figures come from the slowest sweep, which is the steadiest."""
     slowest = max(sweeps, key=lambda curve: curve.seconds)
+    why = "the curve has branches of one direction only: no loop"
+    check = RateCheck("undecided", why, rated=slowest.rated)
     try:
         figures = identify(slowest)
-        if figures.hysteresis_percent is None:
-            why = "the curve has branches of one direction only: no loop"
-            check = RateCheck("undecided", why, rated=slowest.rated)
-        else:
+        if figures.hysteresis_percent is not None:
             check = check_rates(sweeps)
     except InputError as problem:
         raise InputError(f"{source}: {str(problem).removeprefix(f'{slowest.name}: ')}") from None
@@ -176,52 +173,41 @@ def _named_apart(tested: Sequence[Tested]) -> list[Tested]:
 def pairs_of(tested: Sequence[Tested]) -> list[dict[str, Any]]:
     """All pairs of valves with flow curves by name and distance, the most alike first."""
     curves = [each.curve for each in tested if each.figures.kind == FLOW]
-    if len(curves) < 2:
-        return []
     return [
         {"valves": [curves[i].name, curves[j].name], "distance_percent": apart}
         for apart, i, j in most_alike(curves)
     ]
 
 
-def distance(first: Curve, second: Curve, full_flow: float | None = None) -> float:
-    """Distance of two valves in percent of `full_flow` (m3/s; their own largest flow if None).
-
-    InputError if one of them is no flow curve, or they share no range of the signal.
-    """
-    loops = [_flow_loop(curve) for curve in (first, second)]
-    low = max(loop.low / curve.rated for loop, curve in zip(loops, (first, second), strict=True))
-    high = min(loop.high / curve.rated for loop, curve in zip(loops, (first, second), strict=True))
-    if not high - low > 0.1:
-        raise InputError(
-            f"{first.name} and {second.name} were not driven over the same signals: compare like with like"
-        )
-    share = np.linspace(low, high, 801)
-    flows = [_flows(loop, share * curve.rated) for loop, curve in zip(loops, (first, second), strict=True)]
-    full = full_flow or max(float(np.abs(flow).max()) for flow in flows)
-    return 100.0 * float(np.sqrt(np.mean((flows[0] - flows[1]) ** 2))) / full
-
-
 def most_alike(curves: Sequence[Curve]) -> list[tuple[float, int, int]]:
     """All pairs, the most alike first: (distance in percent of the largest flow of all, first, second)."""
-    full = max(float(np.abs(curve.flow).max()) for curve in curves)
+    full = max((float(np.abs(curve.flow).max()) for curve in curves), default=0.0)
     pairs = itertools.combinations(range(len(curves)), 2)
     return sorted((distance(curves[i], curves[j], full), i, j) for i, j in pairs)
 
 
-def _flow_loop(curve: Curve) -> Loop:
-    loop = loop_of(curve)
-    if loop.kind != FLOW:
-        raise InputError(f"{curve.name}: a leakage curve; only flow curves can be compared")
-    return loop
+def distance(first: Curve, second: Curve, full_flow: float | None = None) -> float:
+    """Distance of two valves in percent of `full_flow` (m3/s; their own largest flow if None). A missing branch is taken to be as
+    the other.
 
-
-def _flows(loop: Loop, signal: Floats) -> Floats:
-    """Rising and falling flow (2, signals); a missing branch is taken to be like the other."""
-    rising = loop.rising or loop.falling
-    falling = loop.falling or loop.rising
-    assert rising is not None and falling is not None
-    return np.array([rising.flow_at(signal), falling.flow_at(signal)])
+    InputError if one of them is no flow curve, or they share no range of the signal.
+    """
+    both = [(curve, loop_of(curve)) for curve in (first, second)]
+    for curve, loop in both:
+        if loop.kind != FLOW:
+            raise curve.refused("a leakage curve; only flow curves can be compared")
+    low = max(loop.low / curve.rated for curve, loop in both)
+    high = min(loop.high / curve.rated for curve, loop in both)
+    if not high - low > 0.1:
+        told = f"{first.name} and {second.name} were not driven over the same signals"
+        raise InputError(f"{told}: compare like with like")
+    share = np.linspace(low, high, 801)
+    one, other = (
+        np.array([branch.flow_at(share * curve.rated) for branch in (loop.branches[0], loop.branches[-1])])
+        for curve, loop in both
+    )
+    full = full_flow or max(float(np.abs(flow).max()) for flow in (one, other))
+    return 100.0 * float(np.sqrt(np.mean((one - other) ** 2))) / full
 
 
 def branches_csv(tested: Sequence[Tested]) -> str:
@@ -232,7 +218,6 @@ def branches_csv(tested: Sequence[Tested]) -> str:
         name = '"' + each.curve.name.replace('"', "'") + '"' if "," in each.curve.name else each.curve.name
         for word, branch in (("rising", loop.rising), ("falling", loop.falling)):
             if branch is not None:
-                share = 100.0 * branch.signal / each.curve.rated
-                cells = zip(share, branch.flow / LPM, strict=True)
+                cells = zip(each.curve.percent(branch.signal), branch.flow / LPM, strict=True)
                 lines += [f"{name},{word},{x:.5g},{q:.6g}" for x, q in cells]
     return "\n".join(lines) + "\n"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,8 @@ class Curve:
         """How long it took, s; 0 where that is not known."""
         return 0.0 if self.time is None else float(np.ptp(self.time))
 
-    def percent(self, signal: float) -> float:
-        """A signal in percent of the rated one."""
+    def percent(self, signal: Any) -> Any:
+        """A signal, or an array of them, in percent of the rated one."""
         return 100.0 * signal / self.rated
 
     def refused(self, problem: str) -> InputError:

@@ -35,6 +35,8 @@ __all__ = ["Figures", "Side", "identify", "sides_of", "widths"]
 
 #: Shares of the largest flow between which each figure is read.
 EDGE, LINE, LINEAR, WIDTH = (0.03, 0.5), (0.1, 0.8), (0.05, 0.95), (0.02, 0.98)
+#: The directions of the flow.
+WORDS = {1: "positive", -1: "negative"}
 #: Share of the flow that counts as having begun.
 BEGUN = 0.01
 #: Hysteresis is the mean over a window of this share of the flow.
@@ -86,11 +88,18 @@ class Figures:
 
     def as_json(self) -> dict[str, Any]:
         """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
-        data = {
+        leaked = self.leakage
+        leakage = leaked and {
+            "maximum_lpm": leaked["maximum"] / LPM,
+            "least_lpm": leaked["least"] / LPM,
+            "null_percent": self._percent(leaked["null"]),
+        }
+        return {
             "name": self.name,
             "kind": self.kind,
             "rated_signal": {"value": self.rated, "unit": self.signal_unit},
-            **{side: self._side(getattr(self, side)) for side in ("positive", "negative")},
+            "positive": self._side(self.positive),
+            "negative": self._side(self.negative),
             "hysteresis": {
                 "percent": self.hysteresis_percent,
                 "uncertainty_percent": self.hysteresis_uncertainty_percent,
@@ -105,14 +114,8 @@ class Figures:
             "threshold_percent": self.threshold_percent,
             "noise_lpm": self.noise / LPM,
             "findings": list(self.findings),
+            **({"leakage": leakage} if leakage else {}),
         }
-        if self.leakage is not None:
-            data["leakage"] = {
-                "maximum_lpm": self.leakage["maximum"] / LPM,
-                "least_lpm": self.leakage["least"] / LPM,
-                "null_percent": self._percent(self.leakage["null"]),
-            }
-        return data
 
     def _percent(self, signal: float | None) -> float | None:
         return None if signal is None else 100.0 * signal / self.rated
@@ -120,17 +123,15 @@ class Figures:
     def _side(self, side: Side | None) -> dict[str, Any] | None:
         if side is None:
             return None
-        data = asdict(side)
-        for name in ("gain", "maximum_flow"):
-            del data[name]
-        travel = self.travel_per_signal
+        data, travel = asdict(side), self.travel_per_signal
+        gain, most = data.pop("gain"), data.pop("maximum_flow")
         return {
             **data,
             "dead_zone_percent": self._percent(side.dead_zone),
             "dead_zone_travel_m": None if travel is None else side.dead_zone * travel,
-            "gain_lpm_per_unit": side.gain / LPM,
-            "gain_m2_per_s": None if travel is None else side.gain / travel,
-            "maximum_flow_lpm": side.maximum_flow / LPM,
+            "gain_lpm_per_unit": gain / LPM,
+            "gain_m2_per_s": None if travel is None else gain / travel,
+            "maximum_flow_lpm": most / LPM,
         }
 
 
@@ -171,18 +172,16 @@ def sides_of(
     flow were recorded; `notes`: what was noticed is added. InputError if neither direction flows, or if the curve cannot be
     read."""
     if loop.kind != FLOW:
-        return {1: None, -1: None}
+        return dict.fromkeys(WORDS)
     notes = [] if notes is None else notes
-    top = {sign: max(branch.largest(sign) for branch in loop.branches) for sign in (1, -1)}
-    whole = max(top.values())
-    sides: dict[int, Side | None] = {}
-    for sign, word in ((1, "positive"), (-1, "negative")):
-        if top[sign] < max(0.05 * whole, 6.0 * loop.bin_noise):
+    top = {sign: max(branch.largest(sign) for branch in loop.branches) for sign in WORDS}
+    sides: dict[int, Side | None] = dict.fromkeys(WORDS)
+    for sign, word in WORDS.items():
+        if top[sign] < max(0.05 * max(top.values()), 6.0 * loop.bin_noise):
             notes.append(f"no {word} flow in the curve, its figures are left out")
-            sides[sign] = None
         else:
             sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
-    if sides[1] is None and sides[-1] is None:
+    if not any(sides.values()):
         raise curve.refused(f"the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min")
     return sides
 
@@ -199,7 +198,7 @@ def _middle(loop: Loop, levels: Floats) -> Floats:
 def _side(
     curve: Curve, loop: Loop, sign: int, top: float, steps: tuple[float, float], notes: list[str]
 ) -> Side:
-    word = "positive" if sign > 0 else "negative"
+    word = WORDS[sign]
     # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
     reach = np.linspace(*EDGE, 120)
     levels = np.linspace(0.01, 0.99, 197)
@@ -270,10 +269,8 @@ def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float
         # A parabola where the control edge is curved; its lower root, unless that lies nowhere near.
         a, b, c = np.polyfit(x, q, 2, w=weight)
         under = b * b - 4.0 * a * c
-        bent = (
-            -2.0 * c / (b + np.sqrt(under)) if under >= 0.0 and b + np.sqrt(max(under, 0.0)) > 0.0 else np.nan
-        )
-        if np.isfinite(bent) and -span <= bent <= span:
+        divisor = b + np.sqrt(max(under, 0.0))
+        if under >= 0.0 and divisor > 0.0 and -span <= (bent := -2.0 * c / divisor) <= span:
             return float(ends[0] + bent), float(4.0 * noise)
     return float(root), float(2.0 * noise)
 
@@ -313,11 +310,13 @@ def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict
     around = np.abs(curve.signal - where) < 0.1 * curve.rated
     steepest = max(side.gain for side in sides.values() if side)
     spread += 0.5 * (resolution(curve.signal[around]) + resolution(curve.flow[around]) / steepest)
-    shares = {"hysteresis": abs(best), "hysteresis_uncertainty": spread}
+    found = {
+        "hysteresis_percent": curve.percent(abs(best)),
+        "hysteresis_uncertainty_percent": curve.percent(spread),
+    }
     if means:
-        shares["mean_loop"] = float(np.mean(means))
-    percent = {f"{name}_percent": 100.0 * value / curve.rated for name, value in shares.items()}
-    return percent | {"widest_at": where}
+        found["mean_loop_percent"] = curve.percent(float(np.mean(means)))
+    return found | {"widest_at": where}
 
 
 def _threshold(
@@ -355,13 +354,8 @@ def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> dict[str, Any]:
         rising, falling = flank_signals(*flanks[1]), flank_signals(*flanks[-1])
         wide = (rising - falling).ravel()
         n = int(np.argmax(np.abs(wide)))
-        found["hysteresis_percent"] = 100.0 * float(abs(wide[n])) / curve.rated
-        found["mean_loop_percent"] = 100.0 * float(np.mean(wide)) / curve.rated
+        found["hysteresis_percent"] = curve.percent(float(abs(wide[n])))
+        found["mean_loop_percent"] = curve.percent(float(np.mean(wide)))
         found["widest_at"] = float((rising + falling).ravel()[n] / 2.0)
-    flows = [flow for _, flow in flanks.values()]
-    found["leakage"] = {
-        "maximum": float(np.mean([flow.max() for flow in flows])),
-        "least": float(np.mean([flow.min() for flow in flows])),
-        "null": null,
-    }
-    return found
+    most, least = (float(np.mean([of(flow) for _, flow in flanks.values()])) for of in (np.max, np.min))
+    return found | {"leakage": {"maximum": most, "least": least, "null": null}}
