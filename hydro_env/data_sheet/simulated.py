@@ -50,7 +50,7 @@ def _valve_alone(model: PlantModel) -> PlantModel:
 def _run(
     plant: Plant, channel: int, command: ArrayLike, load: ArrayLike, period: float, *signals: str
 ) -> list[Floats]:
-    """Signals (T,) of a channel under a command (T,) in V and a load (T,), or a constant one, in N m; the other valve is closed."""
+    """Signals (T,) of a channel under a command (T,) in V and a load, (T,) or constant, in N m; the other valve is closed."""
 
     def alone(values: ArrayLike) -> Floats:
         both = np.zeros((np.size(values), 2))

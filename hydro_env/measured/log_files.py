@@ -13,17 +13,21 @@ import numpy as np
 
 from ..errors import InputError, nearest
 from ..files import replacing
-from ..units import from_si, unit
+from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
 from .formats import read_table
 from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, check_units, long_gap
 from .log import HELD, RigLog, field_of
 from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
-from .positions import slope
 from .samples import MEASURED
 from .table import Table, naming
 
 __all__ = ["read_log", "write_log"]
+
+#: The slope of a position is taken over at most so long, s: what the dynamics of such rigs leave.
+_SLOPE_S = 0.04
+#: Noise of a speed, as a share of its range, that is worth no longer a slope.
+_SLOPE_NOISE = 0.003
 
 Signals = dict[str, np.ndarray]
 
@@ -112,7 +116,7 @@ def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: n
             continue
         values = _si(table, each)[keep]
         if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
-            values, finding = slope(values, time_s, each)
+            values, finding = _slope(values, time_s, each)
             slopes.append(finding)
         if each.channel is None:
             signals[each.signal] = values
@@ -131,6 +135,49 @@ def _si(table: Table, mapped: Mapped) -> np.ndarray:
             values.append(np.asarray(part.si(table.columns[part.column])))
         check_numbers(table, part.column, values[-1])
     return values[0] if len(values) == 1 else np.asarray(values[0] - values[1])
+
+
+def _slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.ndarray, Finding]:
+    """The speed (T,) of a position (T,) in SI at times (T,): the difference over as few rows as its noise allows, centred.
+
+    An angle that stays within one revolution is unwound first. Noise is that of differences of the second order, of which
+    six times its variance is left (quantisation included).
+    """
+    if unit(mapped.source.unit).quantity == "angle":
+        position = _unwound(position)
+    second = np.diff(position, 2)
+    second = second[np.isfinite(second)]
+    noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
+    rows, period = 1, float(np.median(np.diff(time)))
+    most = _SLOPE_S / 2.0 / period
+    while True:
+        speed = _over(position, time, rows)
+        low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)
+        if 2 * rows > most or noise * 2**0.5 <= _SLOPE_NOISE * (high - low) * 2 * rows * period:
+            break
+        rows *= 2
+    message = f"the speed of channel {mapped.number} is the slope of {mapped.column!r} over {2 * rows} rows"
+    return speed, mapped.finding("from_position", message)
+
+
+def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:
+    """The slope between `rows` before and after each row, over fewer at the ends."""
+    here = np.arange(len(time))
+    before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
+    return np.asarray((position[after] - position[before]) / (time[after] - time[before]))
+
+
+def _unwound(angle: np.ndarray) -> np.ndarray:
+    """The angle (T,) without its jumps by a revolution, if it is kept within one."""
+    known = np.isfinite(angle)
+    values = angle[known]
+    if len(values) < 2 or np.ptp(values) > 1.001 * REVOLUTION:
+        return angle
+    if np.abs(np.diff(values)).max() < 0.5 * REVOLUTION:
+        return angle
+    angle = angle.copy()
+    angle[known] = np.unwrap(values)
+    return angle
 
 
 def _hold(

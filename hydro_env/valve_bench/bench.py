@@ -187,8 +187,7 @@ def most_alike(curves: Sequence[Curve]) -> list[tuple[float, int, int]]:
 
 
 def distance(first: Curve, second: Curve, full_flow: float | None = None) -> float:
-    """Distance of two valves in percent of `full_flow` (m3/s; their own largest flow if None). A missing branch is taken to be as
-    the other.
+    """Distance of two valves in percent of `full_flow` (m3/s; their own largest flow if None). A missing branch is as the other.
 
     InputError if one of them is no flow curve, or they share no range of the signal.
     """
