@@ -8,6 +8,7 @@ two plugs swapped) and stays silent on a clean log.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -167,17 +168,14 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> list[Finding]:
 
 def check_units(table: Table, mapping: Mapping) -> Iterator[Finding]:
     """Where the file itself gives a unit (a row of units, a unit in the binary file) and the mapping another one."""
-
-    def contradicted(column: str, read_as: str, signal: str | None, number: int | None) -> Iterator[Finding]:
+    parts: list[tuple[Any, ...]] = [(mapping.time.column or "", mapping.time.unit, None, None)]
+    for each in mapping.sources():
+        parts += [(part.column, part.unit, each.signal, each.number) for part in each.source.parts]
+    for column, read_as, signal, number in parts:
         said = table.units.get(column, "")
         if said and (known := unit_of(said)) and known != unit(read_as):
             message = f"the file says that {column!r} is in {said}, it is read as {read_as}"
             yield Finding("unit", message, "give the right unit in a mapping", signal, number, column)
-
-    yield from contradicted(mapping.time.column or "", mapping.time.unit, None, None)
-    for each in mapping.sources():
-        for part in each.source.parts:
-            yield from contradicted(part.column, part.unit, each.signal, each.number)
 
 
 def jump_size(time: np.ndarray) -> float:
