@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from html import escape
 from itertools import groupby
 from math import floor, log10
@@ -137,9 +138,9 @@ class RigPage:
             self._shown_preset = preset
             self._show_hand()
             self._effects.clear()
-            for port in self._ports:
-                port[1].clear()
-                self._fill(*port)
+            for part, holder, effects in self._ports:
+                holder.clear()
+                self._fill(part, holder, effects)
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def show_time(self) -> None:
@@ -237,12 +238,11 @@ class RigPage:
             for port, effects in effects_by_port().items():
                 with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
                     holder = ui.element("div")
-                port = part, holder, effects
-                part.on_value_change(lambda _, port=port: self._fill(*port))
-                self._ports.append(port)
+                part.on_value_change(partial(self._fill, part, holder, effects))
+                self._ports.append((part, holder, effects))
         ui.timer(0.5, self._follow_effects)
 
-    def _fill(self, part: Any, holder: Any, effects: list[Effect]) -> None:
+    def _fill(self, part: Any, holder: Any, effects: list[Effect], _: Any = None) -> None:
         """Makes the sliders of a port that is open."""
         if not part.value or holder.default_slot.children:
             return

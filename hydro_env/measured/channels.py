@@ -95,8 +95,8 @@ def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
             continue
         moving = " though the axis moves" if size.moves else ""
         message = f"{mapped.column!r} peaks at {peak:.4g} {name}{moving}: is it {size.guess}?"
-        right = {"unit": size.right[given]} if given in size.right else {}
-        yield mapped.finding("unit", message, _IN_MAPPING, sure=peak > size.sure, **right)
+        right = {"unit": size.right[given]} if given in size.right else None
+        yield mapped.finding("unit", message, _IN_MAPPING, sure=peak > size.sure, right=right)
         return
 
 
@@ -118,13 +118,13 @@ def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         slope, mapped = float(np.std(speed) / np.std(setpoint)), mapping.mapped("speed", channel)
         for factor, guess, right in (
             (RPM, "is the speed in rad/s", {"unit": "rad/s"}),
-            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", {}),
+            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", None),
             (6.0, "is the speed in deg/s", {"unit": "deg/s"}),
         ):
             if mapped and log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
                 told = f"the speed of channel {channel + 1} follows the set-point"
                 message = f"{told} with a factor of {slope:.3g}: {guess}?"
-                yield mapped.finding("unit", message, _IN_MAPPING, sure=True, **right)
+                yield mapped.finding("unit", message, _IN_MAPPING, sure=True, right=right)
 
 
 def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
@@ -237,7 +237,7 @@ def _sign(log: RigLog, mapping: Mapping, channel: int) -> Iterator[Finding]:
         if mapped := mapping.mapped(signal, channel):
             other = -mapped.source.sign
             hint = f"give `sign: {other}` for {which} in a mapping"
-            yield mapped.finding("sign", message, hint, sure=sure, sign=other)
+            yield mapped.finding("sign", message, hint, sure=sure, right={"sign": other})
 
 
 def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

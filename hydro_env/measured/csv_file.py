@@ -210,16 +210,9 @@ class Cells:
         rows = csv.reader(io.StringIO(text), delimiter=self.delimiter)
         try:
             for row in rows:
-                line = start + rows.line_num - 1
-                if not self.decimal_comma and len(row) == self.width:
-                    try:  # a row of plain numbers: most are
-                        values.extend([float(row[place]) for place in self.places.values()])
-                        kept.append(line)
-                        continue
-                    except ValueError:
-                        pass
                 if not any(cell.strip() for cell in row):
                     continue
+                line = start + rows.line_num - 1
                 if len(row) < self.width or (any(row[self.width :]) and not self.header.open_end):
                     raise self._wrong_width(row, line)
                 kept.append(line)

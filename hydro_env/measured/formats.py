@@ -151,9 +151,11 @@ def _parquet(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     parquet = _library("pyarrow.parquet", path.suffix)
     with parquet.ParquetFile(path) as file:
         check_size(file.metadata.num_rows)
-        yield {
-            name: lambda name=name: file.read([name]).column(0).to_numpy() for name in file.schema_arrow.names
-        }
+        yield {name: partial(_parquet_values, file, name) for name in file.schema_arrow.names}
+
+
+def _parquet_values(file: Any, name: str) -> Any:
+    return file.read([name]).column(0).to_numpy()
 
 
 @contextmanager

@@ -152,7 +152,7 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> list[Finding]:
     """What is suspicious about the values of a log, whose rows (T,) are these lines of the file. Samples that are no measurements
     of the rig become NaN in the log's arrays, once all is looked at."""
     findings: list[Finding] = []
-    invalid = []
+    invalid: list[tuple[Any, np.ndarray]] = []
     for each in mapping.sources():
         if each.channel is not None and log.has(each.signal, each.channel):
             found, bad = check_samples(log, each, rows)

@@ -71,7 +71,8 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
         raise InputError(f"only {count} row; a log needs at least two samples")
     if mapping.time.column is None:
         assert mapping.time.sample_rate is not None
-        time_s, keep = np.arange(count) / mapping.time.sample_rate, slice(None)
+        keep: np.ndarray | slice = slice(None)
+        time_s = np.arange(count) / mapping.time.sample_rate
     else:
         time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit)
     rows = table.lines[keep]

@@ -131,21 +131,14 @@ class Mapped(NamedTuple):
         return None if self.channel is None else self.channel + 1
 
     def finding(
-        self,
-        code: str,
-        message: str,
-        hint: str = "",
-        row: int | None = None,
-        sure: bool = False,
-        **right: object,
-    ) -> Finding:
+        self, code: str, message: str, hint: str = "", row: int | None = None, sure: bool = False,
+        right: dict[str, Any] | None = None,
+    ) -> Finding:  # fmt: skip
         """A finding about the signal; `right` is what a mapping would have to say of it."""
-        fix = (
-            {self.signal: right} if self.number is None else {f"channel_{self.number}": {self.signal: right}}
-        )
-        return Finding(
-            code, message, hint, self.signal, self.number, self.column, row, sure, fix if right else None
-        )
+        where = self.signal, self.number, self.column
+        fix: dict[str, Any] = {self.signal: right}
+        fix = fix if self.number is None else {f"channel_{self.number}": fix}
+        return Finding(code, message, hint, *where, row, sure, fix if right else None)
 
 
 class Quantity(FileTable):

@@ -88,12 +88,10 @@ class Figures:
 
     def as_json(self) -> dict[str, Any]:
         """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
-        leaked = self.leakage
-        leakage = leaked and {
-            "maximum_lpm": leaked["maximum"] / LPM,
-            "least_lpm": leaked["least"] / LPM,
-            "null_percent": self._percent(leaked["null"]),
-        }
+        leakage: dict[str, Any] = {}
+        if self.leakage is not None:
+            leakage = {f"{name}_lpm": self.leakage[name] / LPM for name in ("maximum", "least")}
+            leakage["null_percent"] = self._percent(self.leakage["null"])
         return {
             "name": self.name,
             "kind": self.kind,

@@ -100,7 +100,7 @@ def _curve(table: Table, found: dict[str, str], columns: Columns, name: str) -> 
         if period is not None and not period > 0.0:
             raise InputError(f"--{option}-period is {period:g}, expected more than 0 s")
     if columns.row_period is not None:
-        return replace(curve, time=np.flatnonzero(whole) * columns.row_period)
+        return replace(curve, time=np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float))
     if columns.sweep_period is None:
         return curve
     # A whole triangle passes its range twice.
