@@ -21,7 +21,8 @@ import numpy as np
 from ..measured import Finding, RigLog
 from ..measured import Mapping as LogMapping
 from ..plant import PlantModel
-from .estimation import Fit, Vector
+from .estimation.estimate import Vector
+from .estimation.fit import Fit
 from .logs import Estimates
 from .opening import opened
 from .settings import Settings

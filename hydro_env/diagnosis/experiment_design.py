@@ -33,7 +33,9 @@ from ..measured import RigLog
 from ..plant import PlantModel, scales_of
 from ..plant.sensors import NOISE
 from ..waveforms import triangle
-from .estimation import Estimate, Fit, intervals_of, replica_differences
+from .estimation.estimate import Estimate
+from .estimation.fit import Fit
+from .estimation.uncertainty import intervals_of, replica_differences
 from .input.parts import Part
 from .models.base import BLOCK_S, SI, UNITS, Request
 from .models.dynamic_rig import DynamicRig

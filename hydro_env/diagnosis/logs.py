@@ -6,7 +6,8 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
 from ..measured import Finding
-from .estimation import Estimate, Fit
+from .estimation.estimate import Estimate
+from .estimation.fit import Fit
 from .models.base import RigModel
 
 __all__ = ["Estimates", "Given", "Logs", "changed", "distinct", "place_of"]

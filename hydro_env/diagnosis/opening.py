@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
-from .estimation import Fit
+from .estimation.fit import Fit
 from .input.checks import read_logs
 from .input.parts import Part
 from .logs import Logs

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns, joined, noise_of, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate, joined
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import solve
+from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Request

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import Estimate, Fit, joined
+from hydro_env.diagnosis.estimation.estimate import Estimate, joined
+from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns

@@ -19,7 +19,9 @@ from scipy.signal import lfilter
 
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import Diagnosis, command, diagnose
-from hydro_env.diagnosis.estimation import Estimate, Fit, noise_of, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request

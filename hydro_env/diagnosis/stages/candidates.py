@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, Unknown
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.unknowns import Unknown
 from ..logs import Estimates, Logs, place_of
 
 __all__ = [

@@ -16,7 +16,11 @@ import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, grow_horizon, solve
+from ..estimation.early_window import grow_horizon
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
+from ..estimation.unknowns import Unknown
 from ..logs import Estimates, changed, distinct
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated

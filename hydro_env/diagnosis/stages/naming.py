@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, probability_of_gain
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.uncertainty import probability_of_gain
 from ..logs import Estimates
 from ..models.base import effect_in
 from .candidates import Accepted, Selection

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...plant.catalogue import separating_experiment
-from ..estimation import Estimate
+from ..estimation.estimate import Estimate
 from ..experiment_design import (
     SECONDS,
     Design,

@@ -13,7 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
+from ..estimation.estimate import Estimate, Vector
+from ..estimation.fit import Fit
+from ..estimation.fit_criteria import unexplained
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates
 from ..models.base import effect_in
 from .calibration import Calibrated, as_given

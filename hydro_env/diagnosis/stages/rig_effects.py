@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..estimation import SETTLE_ITERATIONS, Estimate, joined, solve
+from ..estimation.estimate import Estimate, joined
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, is_neutral, judge, penalty
 from .search import Search, short_refit
 

@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
-from ..estimation import noise_floor
+from ..estimation.noise import noise_floor
 from ..input.parts import Part, timed
 from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments, view

@@ -14,7 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ..estimation import Estimate, Fit, could_pay, effect_starts, joined
+from ..estimation.estimate import Estimate, joined
+from ..estimation.fit import Fit
+from ..estimation.fit_criteria import could_pay
+from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, Logs, place_of
 from ..models.base import effect_in
 

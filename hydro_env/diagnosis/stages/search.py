@@ -8,16 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import (
-    SETTLE_ITERATIONS,
-    Estimate,
-    Fit,
-    bases_of,
-    differentiate,
-    grow_horizon,
-    solve,
-    step_all,
-)
+from ..estimation.early_window import grow_horizon
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
+from ..estimation.unknowns import bases_of
 from ..logs import Estimates
 from .candidates import Accepted, Attempt, Candidate, penalty
 from .form_correction import best_attempt

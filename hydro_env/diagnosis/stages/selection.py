@@ -11,16 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..estimation import (
-    SETTLE_ITERATIONS,
-    Estimate,
-    Fit,
-    best_on_early_window,
-    could_pay,
-    joined,
-    solve,
-    unexplained,
-)
+from ..estimation.early_window import best_on_early_window
+from ..estimation.estimate import Estimate, joined
+from ..estimation.fit import Fit
+from ..estimation.fit_criteria import could_pay, unexplained
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, VANISHED, Accepted, Selection, judge, penalty

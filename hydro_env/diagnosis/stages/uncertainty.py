@@ -7,7 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..estimation import Estimate, intervals_of, refine
+from ..estimation.estimate import Estimate
+from ..estimation.final_refinement import refine
+from ..estimation.uncertainty import intervals_of
 from ..logs import Logs
 from ..models.base import RigModel
 from .form_correction import Models

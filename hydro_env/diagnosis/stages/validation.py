@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation import noise_in
+from ..estimation.fit import noise_in
 from ..logs import Estimates, Logs
 from ..models.base import UNITS, RigModel
 from .form_correction import Models

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...plant import CATALOGUE, Effect, PlantModel, parameter_of
-from ..estimation import Estimate
+from ..estimation.estimate import Estimate
 from ..logs import Estimates
 from ..models.base import RigModel, effect_in
 from .form_correction import is_correction

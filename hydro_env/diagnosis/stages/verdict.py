@@ -6,7 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ...plant import CATALOGUE
-from ..estimation import CANNOT_BE_PREDICTED, Estimate, Fit, mostly_explained, predictions_apart, unexplained
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.fit_criteria import mostly_explained, unexplained
+from ..estimation.uncertainty import CANNOT_BE_PREDICTED, predictions_apart
 from ..logs import Estimates, Logs
 from . import uncertainty, validation
 from .calibration import Calibrated

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from ...measured.finding import SPELLING
 from ...plant import CATALOGUE
-from ..estimation import unpredictable
+from ..estimation.uncertainty import unpredictable
 from ..input.parts import Part
 from ..logs import Estimates
 from ..models.base import RigModel
