@@ -14,7 +14,7 @@ from ..estimation.unknowns import Unknown
 from ..logs import Estimates, Logs, place_of
 
 __all__ = [
-    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
+    "ACCEPTED", "AFTER_ROUNDS", "OUTDONE", "TOO_LITTLE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
     "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
@@ -22,6 +22,7 @@ __all__ = [
 ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
+TOO_LITTLE = "explains too little at first look"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished: nobody would look for so little.
 NEUTRAL_SHARE = 0.02
 #: The round under which candidates are listed that were judged after the forward rounds.

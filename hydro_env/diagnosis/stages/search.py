@@ -14,7 +14,7 @@ from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from ..estimation.unknowns import bases_of
 from ..logs import Estimates
-from .candidates import Accepted, Attempt, Candidate, penalty
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Attempt, Candidate, judge, penalty
 from .form_correction import best_attempt
 from .screening import Screening
 
@@ -77,6 +77,21 @@ class Search:
         found, needed = gains[effect], penalty(self.fit, effect)
         behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
         return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
+
+    def judged(self, c: int | None, before: Estimate, refits: Sequence[Estimate], number: int) -> Candidate:
+        """Judges and remembers the refitted candidates of a channel (None: of the rig) beside `before`, the best one first, which
+        alone may be accepted; what became of that one."""
+        place = len(self.candidates)
+        for n, p in enumerate(refits):
+            gain = self.fit.gain(before, p)
+            outcome = judge(self.fit, p, p.label, gain, c)
+            self.record(p.label, c, number, gain, OUTDONE if n and outcome == ACCEPTED else outcome, p)
+        return self.candidates[place]
+
+    def drop(self, one: Accepted, gain: float, outcome: str, estimate: Estimate) -> None:
+        """Takes away again what was accepted, after the forward rounds."""
+        self.accepted.remove(one)
+        self.record(one.effect, one.channel, AFTER_ROUNDS, gain, outcome, estimate)
 
     # --- refits -----------------------------------------------------------------------------------------------------------
     def settle(self, estimates: Sequence[Estimate]) -> None:

@@ -18,13 +18,12 @@ from ..estimation.fit_criteria import could_pay, unexplained
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
-from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
+from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
-from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 from .search import Search, short_refit
 
-__all__ = ["better_set", "prefer_form", "run", "select"]
+__all__ = ["better_set", "drop_vanished", "prefer_form", "rig_effect_leads", "run", "select"]
 
 
 #: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
@@ -210,7 +209,7 @@ def _promising(
     own = [k for k in screening if k.channel == c and k.effect not in here]
     good = own if search.fit.rig.simulation_is_cheap else [k for k in own[:most] if k.gain > 0.0]
     for k in (k for k in own if k not in good):
-        search.record(k.effect, c, number, k.gain, "explains too little at first look")
+        search.record(k.effect, c, number, k.gain, TOO_LITTLE)
     return [search.present[c].extended(k.effect, k.start, c) for k in good]
 
 
@@ -255,18 +254,58 @@ def _accept_best(
 ) -> bool:
     """Judges the refitted candidates of a channel, the best one first, and accepts that, if it passes; whether it does. `alike`
     are the gains by effect when all had been refitted alike."""
-    fit, before, best = search.fit, search.present[c], refits[0]
-    gains = [fit.gain(before, p) for p in refits]
-    first, *others = (judge(fit, p, p.label, gain, c) for p, gain in zip(refits, gains, strict=True))
-    outcomes = [first, *(OUTDONE if other == ACCEPTED else other for other in others)]
-    for p, gain, outcome in zip(refits, gains, outcomes, strict=True):
-        search.record(p.label, c, number, gain, outcome, p)
-    accepted = first == ACCEPTED
-    if accepted:
-        competing, needed = search.competing(best.label, alike), penalty(fit, best.label)
-        search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
-        search.put(c, best)
-    return accepted or (first == VANISHED and _adopt_base(search, c, best))
+    before, best = search.present[c], search.judged(c, search.present[c], refits, number)
+    if best.accepted:
+        competing = search.competing(best.effect, alike)
+        search.accepted.append(Accepted(best.effect, c, best.gain, best.needed, competing, before))
+        search.put(c, refits[0])
+    return best.accepted or (best.outcome == VANISHED and _adopt_base(search, c, refits[0]))
+
+
+# --- effects of the whole rig -----------------------------------------------------------------------------------------------
+def rig_effect_leads(search: Search) -> bool:
+    """Whether an effect of the rig promises more at first look than the best effects of both channels together.
+
+    It then comes first: beside it, channels are searched for what they have, without it for what imitates it.
+    """
+    best: dict[int | None, float] = {}
+    for k in search.screening:
+        best[k.channel] = max(best.get(k.channel, 0.0), k.gain)
+    of_rig = best.pop(None, 0.0)
+    return of_rig > sum(best.values())
+
+
+def select_rig_effects(search: Search) -> None:
+    """Accepts the effect of the rig that explains most beside what the channels have, each refitted as far as it goes."""
+    fit, before = search.fit, joined(search.present)
+    tries: list[Estimate] = []
+    for one in (k for k in search.screening if k.channel is None):
+        if one.gain > penalty(fit, one.effect):
+            tries.append(before.extended(one.effect, one.start))
+        else:
+            search.record(one.effect, None, 1, one.gain, TOO_LITTLE)
+    if not tries:
+        return
+    short_refit(fit, tries)
+    solve(fit, tries, SETTLE_ITERATIONS)
+    refits = _ranked(fit, tries)
+    best = search.judged(None, before, refits, 1)
+    if best.accepted:
+        search.accepted.append(Accepted(best.effect, None, best.gain, best.needed, without=before))
+        left = drop_vanished(search, refits[0])
+        solve(fit, [left] if left is not refits[0] else [], SETTLE_ITERATIONS)
+        search.put(None, left)
+
+
+def drop_vanished(search: Search, estimate: Estimate) -> Estimate:
+    """The estimate with those effects alone that did not vanish when one of the rig joined them: what an effect of the rig
+    explains is no channel's."""
+    left = estimate
+    for k in [*search.accepted]:
+        if k.channel is not None and is_neutral(estimate, k.effect, k.channel):
+            search.drop(k, 0.0, "vanishes beside an effect of the whole rig", estimate)
+            left = left.without(k.effect, k.channel)
+    return left
 
 
 # --- backward step ----------------------------------------------------------------------------------------------------------
@@ -288,8 +327,6 @@ def prefer_form(search: Search) -> None:
             alone = all(is_correction(effect) for effect, _ in left)
             if alone and fit.gain(form.estimate, search.in_other_form(present)) >= one.needed:
                 break  # beside given effects it pays in another form, as these do
-            outcome, gain = "another form of the others does better", fit.gain(less, present)
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
-            search.accepted.remove(one)
+            search.drop(one, fit.gain(less, present), "another form of the others does better", present)
             search.put(c, less)
             solve(fit, [less], SETTLE_ITERATIONS)
