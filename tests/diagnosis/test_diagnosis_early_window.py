@@ -10,7 +10,6 @@ import pytest
 from hydro_env.diagnosis.estimation.early_window import best_on_early_window, early_window_of
 from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.estimation.fit import Fit, noise_of
-from hydro_env.diagnosis.estimation.fit_criteria import could_pay
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
@@ -28,7 +27,7 @@ def test_a_residual_that_goes_on_for_long_is_looked_into_where_it_would_stay_une
 ) -> None:
     slow = {"line_loss.coefficient": np.cos(0.4 * np.pi * time_of(ROWS))}
     fit, base = logged(slow, {"line_loss.coefficient": size * NOISE[0, "speed"]}, ROWS)
-    assert could_pay(fit, base, 0) == pays
+    assert fit.could_pay(base, 0) == pays
 
 
 def test_the_hidden_effect_is_first_on_the_beginning_of_the_logs(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 
 from .estimate import Estimate, Vector
 from .fit import Fit
-from .fit_criteria import far_from_noise
 from .gauss_newton import simulate_moves, step_all
 
 __all__ = ["moves_along_axes", "refine", "settle"]
@@ -36,7 +35,7 @@ def refine(fit: Fit, fine: Fit, estimates: Iterable[Estimate]) -> None:
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.
     """
-    near = [p for p in dict.fromkeys(estimates) if p.simulated and not far_from_noise(fine, p)]
+    near = [p for p in dict.fromkeys(estimates) if p.simulated and not fine.far_from_noise(p)]
     settle(fit, near)
     near = _ready(fine, near)
     # The way is mostly short, and the derivatives that they bring along show it.

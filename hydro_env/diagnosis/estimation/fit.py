@@ -28,6 +28,17 @@ MIN_SAMPLES = 8
 #: Windows of the noise for a motor that swings, as a share of the time of a swing, and what is much less noise than the usual
 #: ones show: coloured noise shows somewhat less in shorter windows, too.
 SHARE_OF_SWING, MUCH_LESS = 0.1, 0.5
+#: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
+CLEARLY_ABOVE = 2.0
+#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown: errors of 1.15 times the
+#: noise in one signal.
+SMALL_SUM = 0.15
+#: A log whose mean square error is above this many times the noise's (1.02 squared, as `Fit.at_noise`) could pay for an effect,
+#: if its deviance is worth one parameter of a library of 200 (`candidates.penalty`).
+ABOVE_NOISE, WORTH = 1.04, 20.0
+#: A residual (`Fit.level`) up to which a local minimum may be the cause, errors of 2.1 times the noise; what a missing effect
+#: leaves is larger.
+SMALL_LEVEL = 1.0
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
 
@@ -116,6 +127,48 @@ class Fit:
             for channel in self.channels_of(estimate)
             for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
         )
+
+    # --- criteria ---------------------------------------------------------------------------------------------------------
+    def could_pay(self, estimate: Estimate, channel: int) -> bool:
+        """Whether a channel has a residual above its noise that could pay for an effect, or one that must not stay unexplained.
+
+        A residual that goes on for long counts few independent samples, and the many more that are left when an effect explains
+        it.
+        """
+        worth, seen = 0.0, False
+        for s in self.rig.segments[channel]:
+            error = (s.measured - estimate.simulated[channel][s.place])[s.used]
+            if error.size:
+                ratio = float(np.mean(error**2)) / self.noise[channel, s.signal] ** 2
+                seen = seen or ratio > ABOVE_NOISE
+                worth += effective_samples(error) * max(np.log(ratio), 0.0)
+        return seen and (worth > WORTH or self.unexplained(estimate, channel))
+
+    def unexplained(self, estimate: Estimate, channel: int) -> bool:
+        """Whether a residual stays that is clearly above the noise, in a signal of a log."""
+        left = self.rms(estimate.simulated[channel], channel)
+        return any(
+            v > self.settings.unexplained * self.noise[channel, signal] for (_, signal), v in left.items()
+        )
+
+    def mostly_explained(self, before: Estimate, after: Estimate, channel: int) -> bool:
+        """Whether most of the residual that `before` leaves on a channel is explained by `after`, by level or by power.
+
+        By level a few events count little, such as a spool that meets its end stop late in a model of another functional form;
+        by power what is small everywhere counts little, such as the ripple that a steady model leaves.
+        """
+        old, new = (sum(self.levels(p.simulated[channel], channel).values()) for p in (before, after))
+        by_level = new < SMALL_SUM or new < (1.0 - self.settings.most_of_level) * old
+        was, left = (self.rms(p.simulated[channel], channel) for p in (before, after))
+        noise = {k: self.noise[channel, k[1]] for k in left}
+        excess = {k: left[k] ** 2 - noise[k] ** 2 for k in left if left[k] > CLEARLY_ABOVE * noise[k]}
+        left_share = 1.0 - self.settings.most_of_power
+        by_power = all(e < left_share * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
+        return by_level or by_power
+
+    def far_from_noise(self, estimate: Estimate) -> bool:
+        """Whether more is left than a local minimum leaves."""
+        return self.level(estimate) > SMALL_LEVEL
 
     # --- likelihood -------------------------------------------------------------------------------------------------------
     def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
 
-from .box import minimum_in_box
 from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["SETTLE_ITERATIONS", "differentiate", "simulate_moves", "solve", "step_all"]
+__all__ = ["SETTLE_ITERATIONS", "differentiate", "minimum_in_box", "simulate_moves", "solve", "step_all"]
 
 #: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
 SETTLE_ITERATIONS = 12
@@ -80,6 +81,21 @@ def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
     low, high = np.maximum(low - estimate.q, -MAX_STEP), np.minimum(high - estimate.q, MAX_STEP)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
+
+
+def minimum_in_box(matrix: np.ndarray, side: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The x (k,) with low <= x <= high at which x' matrix x / 2 - side' x is least.
+
+    `matrix` (k, k) is symmetric and positive definite, `side`, `low` and `high` are (k,). As bounded least squares: with the
+    Cholesky factor, matrix = U' U, it is the least |U x - U'^-1 side|.
+    """
+    size = 1.0 / np.sqrt(np.diag(matrix))  # unknowns in units of their own, so that one tolerance serves all
+    upper = cholesky(matrix * np.outer(size, size))
+    right = solve_triangular(upper, side * size, trans="T")
+    found = lsq_linear(
+        upper, right, (low / size, high / size), method="bvls", tol=1e-12, max_iter=10 * len(side)
+    )
+    return np.asarray(found.x * size)
 
 
 # --- derivatives ----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ import numpy as np
 
 from .estimate import Estimate
 from .fit import Fit
-from .fit_criteria import far_from_noise
 from .gauss_newton import solve
 
 __all__ = ["restart_friction"]
@@ -32,7 +31,7 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate], iterations: int) -
     rng = np.random.default_rng(0)
     live = [p for p in estimates if any(u.name in DRAWN for u in p.unknowns)]
     for _ in range(MAX_TIMES if fit.settings.uses("restart_friction") else 0):
-        live = [p for p in live if not fit.at_noise(p) and not far_from_noise(fit, p)]
+        live = [p for p in live if not fit.at_noise(p) and not fit.far_from_noise(p)]
         fields = [[_with_other_friction(p, n % 2 == 1, rng) for n in range(STARTS)] for p in live]
         for each in ROUNDS:
             solve(fit, [p for starts in fields for p in starts], each)

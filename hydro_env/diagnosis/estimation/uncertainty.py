@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..input.duration import STRETCH_S
-from .box import minimum_in_box
 from .estimate import Estimate, Intervals, Vector
 from .fit import Fit
+from .gauss_newton import minimum_in_box
 
 __all__ = [
     "CANNOT_BE_PREDICTED", "bootstrap", "intervals_of", "nearest_inside", "predictions_apart", "probability_of_gain",

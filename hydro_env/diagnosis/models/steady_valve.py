@@ -12,15 +12,17 @@ only, so Kq is estimated and D is the mapping's or the model's.
 from __future__ import annotations
 
 import inspect
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
+from ...plant.catalogue.effect import helpers_of
 from ..input.parts import Part, filled
-from .array_laws import apply_laws, argument, elementwise
 from .base import Request, RigModel, given_parameters
 
 __all__ = ["SteadyValve"]
@@ -194,3 +196,44 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
         loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
         out[:, row] = loop[:, 0]
     return out
+
+
+# --- the catalogue's laws on whole arrays: samples are evaluated rather than integrated --------------------------------------
+@cache
+def elementwise(law: Callable[..., float]) -> Callable[..., Any]:
+    """A law of the catalogue, which is written for numbers, as a compiled function of arrays."""
+    from numba import vectorize
+
+    return vectorize(_rebuilt(law))
+
+
+def _rebuilt(function: Callable[..., Any]) -> Any:
+    """The function from its source, with compiled functions in the place of those that it calls."""
+    from numba import njit
+
+    space: dict[str, Any] = {"floor": np.floor, "sqrt": np.sqrt}
+    space |= {name: njit(_rebuilt(helper)) for name, helper in helpers_of(function).items()}
+    local: dict[str, Any] = {}
+    exec(textwrap.dedent(inspect.getsource(function)), space, local)
+    return local[function.__name__]
+
+
+def apply_laws(quantity: str, value: np.ndarray, effects: list[str], known: Mapping[str, Any]) -> np.ndarray:
+    """`value` passed through the laws that these effects have for `quantity`.
+
+    `known` holds signals, base parameters and "effect.parameter" values that broadcast against `value`.
+    """
+    for name in effects:
+        effect = CATALOGUE[name]
+        law = effect.laws.get(quantity)
+        if law is not None:
+            value = elementwise(law)(
+                value, *(argument(effect, a, known) for a in list(inspect.signature(law).parameters)[1:])
+            )
+    return value
+
+
+def argument(effect: Effect, name: str, known: Mapping[str, Any]) -> Any:
+    """What an argument of a law stands for: the effect's own parameter or state, a signal, or a base parameter."""
+    own = f"{effect.name}.{name}"
+    return known[own] if own in known else known[name]

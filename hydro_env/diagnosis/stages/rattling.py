@@ -15,7 +15,6 @@ import numpy as np
 
 from ..estimation.estimate import Estimate, Vector
 from ..estimation.fit import Fit
-from ..estimation.fit_criteria import unexplained
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates
 from ..models.base import effect_in
@@ -47,7 +46,7 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     for c, p in beside.items() if able else ():
         if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
             continue
-        if unexplained(fit, p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
+        if fit.unexplained(p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
             found[c] = one
     if not found:
         return calibrated

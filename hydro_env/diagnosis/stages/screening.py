@@ -16,7 +16,6 @@ import numpy as np
 from ...plant import CATALOGUE, Effect
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
-from ..estimation.fit_criteria import could_pay
 from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, Logs, place_of
 from ..models.base import effect_in
@@ -79,7 +78,7 @@ class _Projector:
 
 def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:
     """Screens every candidate beside the calibrated model."""
-    settled = [c for c, p in calibrated.items() if not could_pay(logs.fit, p, c)]
+    settled = [c for c, p in calibrated.items() if not logs.fit.could_pay(p, c)]
     return screen(logs.fit, calibrated, logs.rig.candidates(), logs.seconds, earlier, settled)
 
 

@@ -14,7 +14,6 @@ from dataclasses import replace
 from ..estimation.early_window import best_on_early_window
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
-from ..estimation.fit_criteria import could_pay, unexplained
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
@@ -131,13 +130,13 @@ def better_set(search: Search, other: Search) -> Search:
 def _worth_another(search: Search, c: int) -> bool:
     """Whether a channel has a residual left that is worth looking into and is no matter of the form of what was accepted."""
     fit, present = search.fit, search.present[c]
-    if not could_pay(fit, present, c):
+    if not fit.could_pay(present, c):
         return False
     named = [e for e in present.effects() if not is_correction(e)]
     if not fit.rig.has_hidden_states or not (named or given_on(fit, present)):
         return True
     # Beside given effects alone a curve may take up a missing one; which of them it is, is decided at the end (`prefer_form`).
-    return (not named and unexplained(fit, present, c)) or could_pay(fit, search.in_other_form(present), c)
+    return (not named and fit.unexplained(present, c)) or fit.could_pay(search.in_other_form(present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -220,7 +219,7 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
     """
     fit, presents, names = search.fit, {}, []
     for c, (best, *_) in refits.items():
-        if unexplained(fit, best, c) and unexplained(fit, search.in_other_form(best), c):
+        if fit.unexplained(best, c) and fit.unexplained(search.in_other_form(best), c):
             here = {n for n, on in search.present[c].placed_effects() if on in (None, c)}
             shows = {s.effect for s in search.screening if s.channel == c and s.shows}
             names.append([n for n in search.names if n in shows - here])

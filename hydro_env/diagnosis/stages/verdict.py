@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate
 from ..estimation.fit import Fit
-from ..estimation.fit_criteria import mostly_explained, unexplained
 from ..estimation.uncertainty import CANNOT_BE_PREDICTED, predictions_apart
 from ..logs import Estimates, Logs
 from . import uncertainty, validation
@@ -40,10 +39,10 @@ def decide(calibrated: Calibrated, selection: Selection) -> str:
     given, first = calibrated.given, selection.calibrated | calibrated.plain
     found = selection.in_best_form()
     if selection.accepted:
-        left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
-        mostly = all(mostly_explained(fit, first[c], found[c], c) for c in channels)
+        left = any(fit.unexplained(selection.estimates[c], c) for c in channels)
+        mostly = all(fit.mostly_explained(first[c], found[c], c) for c in channels)
         return "effects" if mostly or not left else "unknown"
-    if any(unexplained(fit, found[c], c) for c in channels):
+    if any(fit.unexplained(found[c], c) for c in channels):
         return "unknown"
     return "calibration" if any(_better(fit, given[c], first[c], c) for c in channels) else "none"
 
