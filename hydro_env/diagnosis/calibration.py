@@ -130,7 +130,7 @@ def estimate(
 def _residuals(proof: Proof) -> dict[str, Residual]:
     rig, found = proof.rig, {}
     for (c, signal), e in proof.errors.items():
-        own, size = [s for s in rig.segments[c] if s.signal == signal], shown_unit(rig, signal, c)[1]
+        own, size = rig.segments[c].by_signal[signal], shown_unit(rig, signal, c)[1]
         errors = [(s.measured - proof.traces["after"][c][s.place]) / size for s in own]
         errors = [np.where(s.used, error, np.nan) for s, error in zip(own, errors, strict=True)]
         times = [rig.parts[s.log].log.time_s[s.rows] for s in own]

@@ -47,8 +47,8 @@ __all__ = [
 
 Array = np.ndarray
 
-#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory (`input.duration`),
-#: and pieces in between, in periods.
+#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory
+#: (`estimation.uncertainty`), and pieces in between, in periods.
 PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
 #: Random experiments to begin with, and random pieces of which the best takes a place: two blocks of the kernel, and one.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ..errors import InputError, nearest
+from ..errors import InputError, suggestion
 
 __all__ = ["RULES", "Settings"]
 
@@ -69,9 +69,7 @@ class Settings:
         object.__setattr__(self, "rules_off", frozenset(self.rules_off))
         for name in self.rules_off:
             if name not in RULES:
-                near = nearest(name, RULES)
-                hint = f"did you mean {near!r}? " if near else ""
-                raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
+                raise InputError(f"unknown rule {name!r}: {suggestion(name, RULES)}")
 
     def uses(self, name: str) -> bool:
         """Whether a rule is on."""

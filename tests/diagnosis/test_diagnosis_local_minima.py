@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.early_window import early_window_of, grow_horizon
 from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.estimation.fit import Fit, noise_of
 from hydro_env.diagnosis.estimation.gauss_newton import differentiate, solve
+from hydro_env.diagnosis.estimation.local_minima import early_window_of, grow_horizon
 from hydro_env.diagnosis.estimation.unknowns import (
     SCALED_TOGETHER,
     Unknown,

@@ -6,7 +6,6 @@ fit               likelihood, residuals and deviance of an estimate on the logs 
 noise             noise and independent samples of a residual
 gauss_newton      the solver
 final_refinement  the last steps to the minimum, with derivatives as wide as the uncertainty
-early_window      fits to the beginning of the logs, of one estimate or of competing candidates
-multistart        restarts, where friction makes local minima
+local_minima      restarts with other friction, fits to the beginning of the logs, of one estimate or of competing candidates
 uncertainty       block bootstrap
 """

@@ -59,14 +59,11 @@ def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
     """The smallest noise that the residual of a model or the bare signal shows, SI."""
     noise: Noise = {}
     for channel, estimate in estimates.items():
-        found: dict[str, list[float]] = {}
-        for s in rig.segments[channel]:
+        simulated = estimate.simulated[channel]
+        for signal, own in rig.segments[channel].by_signal.items():
             # Of the residual: a model, even a poor one, takes the fast movements out.
-            error = s.measured - estimate.simulated[channel][s.place]
-            both = [noise_in(rig, s, x) for x in (error, s.measured)]
-            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
-        for signal, values in found.items():
-            noise[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
+            both = [[noise_in(rig, s, x) for x in (s.measured - simulated[s.place], s.measured)] for s in own]
+            noise[channel, signal] = max(float(np.nanmedian(np.nanmin(both, axis=1))), 1e-12)
     return noise
 
 
@@ -97,7 +94,7 @@ class Fit:
         """RMS error by (log, signal) over the rows that count, SI."""
         found = {}
         for s in self.rig.segments[channel]:
-            error = (s.measured - simulated[s.place])[s.used]
+            error = s.left(simulated)
             found[s.log, s.signal] = float(np.sqrt(np.mean(error * error))) if error.size else float("nan")
         return found
 
@@ -137,7 +134,7 @@ class Fit:
         """
         worth, seen = 0.0, False
         for s in self.rig.segments[channel]:
-            error = (s.measured - estimate.simulated[channel][s.place])[s.used]
+            error = s.left(estimate.simulated[channel])
             if error.size:
                 ratio = float(np.mean(error**2)) / self.noise[channel, s.signal] ** 2
                 seen = seen or ratio > ABOVE_NOISE

@@ -18,7 +18,7 @@ __all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
 LONG_S = 120.0
 WINDOW_S, WINDOWS = 12.0, 2
 #: How long a rig must have been quiet to be at rest, s, and what does not count where it was not: more than the shaft remembers
-#: (see `duration`), and five times that.
+#: (see `estimation.uncertainty`), and five times that.
 QUIET_S, WARM_S = 0.3, 1.0
 
 #: Moves that count in a second, in standard deviations of the signal: ten steps from end to end.

@@ -27,7 +27,7 @@ __all__ = [
 
 #: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
-#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`input.duration`).
+#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`estimation.uncertainty`).
 BLOCK_S = 0.1
 #: Signals that a model may predict, with the unit they are shown in and its size in SI.
 UNITS = {
@@ -128,6 +128,10 @@ class Segment:
         """Measured less simulated (n,), 0 where a row does not count."""
         return np.where(self.used, self.filled - simulated[self.place], 0.0)
 
+    def left(self, simulated: np.ndarray) -> np.ndarray:
+        """Measured less simulated over the rows that count."""
+        return (self.measured - simulated[self.place])[self.used]
+
 
 @dataclass(frozen=True)
 class Joined:
@@ -141,13 +145,25 @@ class Joined:
     signal: np.ndarray
     signals: tuple[str, ...]
 
+    def error(self, simulated: np.ndarray) -> np.ndarray:
+        """Measured less simulated (n,), 0 where a row does not count."""
+        return np.where(self.used, self.filled - simulated, 0.0)
+
 
 class Segments(list[Segment]):
     """The segments of a channel, in the order of their places."""
 
     @cached_property
+    def by_signal(self) -> dict[str, list[Segment]]:
+        """The segments of each signal, in the order of the logs."""
+        return {
+            signal: [s for s in self if s.signal == signal]
+            for signal in dict.fromkeys(s.signal for s in self)
+        }
+
+    @cached_property
     def joined(self) -> Joined:
-        signals = tuple(dict.fromkeys(s.signal for s in self))
+        signals = tuple(self.by_signal)
         return Joined(
             np.concatenate([s.filled for s in self]),
             np.concatenate([s.used for s in self]),

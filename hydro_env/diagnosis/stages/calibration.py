@@ -14,7 +14,7 @@ from ...plant import CATALOGUE, parameter_of, scales_of
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit, noise_of
 from ..estimation.gauss_newton import solve
-from ..estimation.multistart import restart_friction
+from ..estimation.local_minima import restart_friction
 from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
 from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats

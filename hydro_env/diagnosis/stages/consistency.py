@@ -91,15 +91,15 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
 
 def _compared(rig: RigModel, channel: int) -> list[str]:
     """The signals of a channel that are compared in size and sign."""
-    return [s for s in dict.fromkeys(s.signal for s in rig.segments[channel]) if s not in LEVEL_FREE]
+    return [s for s in rig.segments[channel].by_signal if s not in LEVEL_FREE]
 
 
 def _pair(rig: RigModel, given: Estimates, own: int, other: int, signal: str) -> np.ndarray:
     """Measured samples of channel `own` and the model's of channel `other` (2, n), over all logs."""
     both = [np.zeros((2, 0))]
-    by_log = {s.log: s for s in rig.segments[other] if s.signal == signal}
-    for mine in rig.segments[own]:
-        if mine.signal == signal and mine.log in by_log:
+    by_log = {s.log: s for s in rig.segments[other].by_signal.get(signal, ())}
+    for mine in rig.segments[own].by_signal.get(signal, ()):
+        if mine.log in by_log:
             values = given[other].simulated[other][by_log[mine.log].place]
             both.append(np.array([mine.measured, values])[:, mine.used & np.isfinite(values)])
     return np.concatenate(both, axis=1)
@@ -145,7 +145,8 @@ def _supply(rig: RigModel) -> Iterator[Finding]:
     """A supply pressure of the model that the two lines do not have: they stand about half of it, and drain but never fill."""
     for channel in rig.channels:
         given = rig.given("pressure_dependent_flow.supply_pressure", channel)
-        sums = [2.0 * s.measured[s.used] for s in rig.segments[channel] if s.signal == "mean_line_pressure"]
+        own = rig.segments[channel].by_signal.get("mean_line_pressure", ())
+        sums = [2.0 * s.measured[s.used] for s in own]
         if not sums or not np.isfinite(given):
             continue
         seen = float(np.quantile(np.concatenate(sums), 0.9))

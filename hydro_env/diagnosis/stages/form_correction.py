@@ -9,19 +9,19 @@ there is nothing to correct. Effects that the model as given has get their corre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation.early_window import grow_horizon
 from ..estimation.estimate import Estimate
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
+from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import Unknown
-from ..logs import Estimates, changed, distinct
+from ..logs import Estimates, distinct
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
 from .candidates import Attempt, Selection, penalty_per_parameter
@@ -70,11 +70,12 @@ class Models:
         """The estimates whose known parameters are reported."""
         return self.calibrated if self.final == self.given else self.final
 
-    def changed(self, change: Callable[[list[Estimate]], None]) -> Models:
-        """The same after a change of those that are reported."""
+    def with_twins(self) -> tuple[Models, list[Estimate]]:
+        """The same with copies of the estimates that are reported, and these; one that is several models' stays one."""
+        twins = {p: replace(p) for p in self.shown.values()}
         every = self.given, self.calibrated, self.named, self.final, self.placebo
-        given, calibrated, named, final, placebo = changed(change, self.shown.values(), *every)
-        return Models(given, calibrated, named, final, placebo, self.corrections)
+        groups = [{c: twins.get(p, p) for c, p in group.items()} for group in every]
+        return Models(*groups, self.corrections), list(twins.values())
 
     def as_named(self) -> Models:
         """The same without the corrections of what is named."""

@@ -116,7 +116,7 @@ def screen(
         c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
         for c, p in estimates.items()
     }
-    errors = {c: left[c](_error(fit, p, c)) for c, p in estimates.items()}
+    errors = {c: left[c](fit.rig.segments[c].joined.error(p.simulated[c])) for c, p in estimates.items()}
     found = []
     for (name, channel), starts in tries.items():
         channels, rows = fit.rig.channels if channel is None else (channel,), []
@@ -128,36 +128,24 @@ def screen(
         if rows:
             effect = effect_in(fit.rig, name, channel)
             gain, start, change = max(rows, key=lambda row: row[0])
-            medium = [each for _, size, each in rows if _is_medium(effect, size)] or [change]
-            found.append(_screening(name, channel, start, gain, medium[-1], noise))
+            medium = ([each for _, size, each in rows if _is_medium(effect, size)] or [change])[-1]
+            visible = sum(float(np.sum(noise[c](each) ** 2)) for c, each in medium.items())
+            unprojected = sum(float(np.sum((each * noise[c].weights) ** 2)) for c, each in medium.items())
+            found.append(Screening(name, channel, start, gain, visible, unprojected))
     return sorted(found, key=lambda k: -k.gain)
-
-
-def _screening(
-    effect: str, channel: int | None, start: dict[str, float], gain: float, medium: dict[int, np.ndarray],
-    noise: Mapping[int, _Projector],
-) -> Screening:  # fmt: skip
-    """The result for an effect that makes the changes `medium` at its medium size, by channel."""
-    size = sum(float(np.sum(noise[c](change) ** 2)) for c, change in medium.items())
-    unprojected = sum(float(np.sum((change * noise[c].weights) ** 2)) for c, change in medium.items())
-    return Screening(effect, channel, start, gain, size, unprojected)
 
 
 def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
     return all(start[p.name] == p.typical for p in effect.parameters if p.typical != p.nominal or p.starts)
 
 
-def _error(fit: Fit, estimate: Estimate, channel: int) -> np.ndarray:
-    return np.concatenate([s.error(estimate.simulated[channel]) for s in fit.rig.segments[channel]])
-
-
 def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     """By signal the RMS error, at least the noise."""
-    squares: dict[str, list[np.ndarray]] = {}
-    for s in fit.rig.segments[channel]:
-        squares.setdefault(s.signal, []).append(s.error(estimate.simulated[channel])[s.used] ** 2)
-    rms = {signal: float(np.sqrt(np.mean(np.concatenate(own)))) for signal, own in squares.items()}
-    return {signal: max(fit.noise[channel, signal], value) for signal, value in rms.items()}
+    found = {}
+    for signal, own in fit.rig.segments[channel].by_signal.items():
+        errors = np.concatenate([s.left(estimate.simulated[channel]) for s in own])
+        found[signal] = max(fit.noise[channel, signal], float(np.sqrt(np.mean(errors**2))))
+    return found
 
 
 def _gain(

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation.early_window import grow_horizon
 from ..estimation.estimate import Estimate
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
+from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import bases_of
 from ..logs import Estimates
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Attempt, Candidate, judge, penalty

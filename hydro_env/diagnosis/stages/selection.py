@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..estimation.early_window import best_on_early_window
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
+from ..estimation.local_minima import best_of_each, best_on_early_window
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
@@ -182,10 +182,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
 
 def _ranked(fit: Fit, refits: Sequence[Estimate]) -> list[Estimate]:
     """The best estimate of each effect, best first."""
-    best: dict[str, Estimate] = {}
-    for p in sorted(refits, key=lambda p: p.cost + penalty(fit, p.label)):
-        best.setdefault(p.label, p)
-    return [*best.values()]
+    return best_of_each(refits, key=lambda p: p.cost + penalty(fit, p.label))
 
 
 def _gains(search: Search, c: int, refits: Sequence[Estimate]) -> dict[str, float]:

@@ -79,25 +79,14 @@ def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
     traces = {name: {c: results[p][c] for c, p in own.items()} for name, own in models.items()}
     errors: dict[tuple[int, str], dict[str, float]] = {}
     for channel in rig.channels:
-        for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
+        for signal, own in rig.segments[channel].by_signal.items():
             size = shown_unit(rig, signal, channel)[1]
-            entry = {"noise": _noise(rig, traces, channel, signal) / size}
+            # The noise by the residual that is smoothest of both.
+            smooth = [traces[name][channel] for name in ("calibrated", "after")]
+            noise = [min(noise_in(rig, s, s.measured - x[s.place]) for x in smooth) for s in own]
+            entry = {"noise": float(np.median(noise)) / size}
             for name in models:
-                error = [
-                    (s.measured - traces[name][channel][s.place])[s.used]
-                    for s in rig.segments[channel]
-                    if s.signal == signal
-                ]
-                entry[name] = float(np.sqrt(np.mean(np.concatenate(error) ** 2))) / size
+                error = np.concatenate([s.left(traces[name][channel]) for s in own])
+                entry[name] = float(np.sqrt(np.mean(error**2))) / size
             errors[channel, signal] = entry
     return Proof(rig, errors, traces)
-
-
-def _noise(rig: RigModel, traces: dict[str, dict[int, np.ndarray]], channel: int, signal: str) -> float:
-    """The noise by the residual that is smoothest of all models'."""
-    found = []
-    for s in rig.segments[channel]:
-        if s.signal == signal:
-            errors = [s.measured - traces[name][channel][s.place] for name in ("calibrated", "after")]
-            found.append(min(noise_in(rig, s, error) for error in errors))
-    return float(np.median(found))

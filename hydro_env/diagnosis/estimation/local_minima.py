@@ -1,4 +1,6 @@
-"""Fits to the beginning of the logs, where there is one minimum and a simulation costs little.
+"""Ways out of local minima: restarts with other friction, and fits to the beginning of the logs.
+
+At the beginning there is one minimum, and a simulation costs little.
 
 On whole logs a missing effect has pulled known parameters along, and a shaft that nearly comes to rest turns on this way or that,
 from where it is revolutions off and dominates the remaining residual: no small step repairs it. What lies before determines the
@@ -9,7 +11,7 @@ logs (`grow_horizon`), and competing candidates from every size to their first h
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +23,7 @@ from .fit import Fit
 from .gauss_newton import solve
 from .unknowns import effect_starts
 
-__all__ = ["best_on_early_window", "early_window_of", "grow_horizon"]
+__all__ = ["best_of_each", "best_on_early_window", "early_window_of", "grow_horizon", "restart_friction"]
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
@@ -143,13 +145,13 @@ def best_on_early_window(
     fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
     beginning = fit.on(early_window_of(fit.rig, STAGES[0][0]))
     beginning.evaluate([p for field in fields for p in field])
-    fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
+    fields = [best_of_each(field, FIRST_STARTS) for field in fields]
     for share, iterations, kept in STAGES:
         beginning = fit.on(early_window_of(fit.rig, share))
         fields = [[p.at(p.q.copy()) for p in field] for field in fields]
         solve(beginning, [p for field in fields for p in field], iterations)
-        fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
-    return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
+        fields = [_within_reach(best_of_each(field, kept)) for field in fields]
+    return [[p.at(p.q.copy()) for p in best_of_each(field) if p.label][:KEPT] for field in fields]
 
 
 def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
@@ -163,10 +165,12 @@ def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]
     return found
 
 
-def _best_of_each(field: Sequence[Estimate], count: int) -> list[Estimate]:
-    """The best `count` starts of each candidate, best first."""
+def best_of_each(
+    field: Sequence[Estimate], count: int = 1, key: Callable[[Estimate], float] = lambda p: p.cost
+) -> list[Estimate]:
+    """The best `count` estimates of each label, best first."""
     found: list[Estimate] = []
-    for p in sorted(field, key=lambda p: p.cost):
+    for p in sorted(field, key=key):
         if sum(other.label == p.label for other in found) < count:
             found.append(p)
     return found
@@ -182,3 +186,43 @@ def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
         if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
             found.append(p)
     return found
+
+
+# --- restarts ---------------------------------------------------------------------------------------------------------------
+#: Base parameters that are drawn again, and the standard deviations of the factors, less than their priors': a start has to be
+#: near enough to what is found from it.
+DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
+#: New starts, iterations of each round, after which the better half goes on, and how often all this is done at most, as long as
+#: it helps. Three times free all four of the spools that are stuck in the rigs of tests/diagnosis/test_diagnosis_local_minima.py.
+STARTS, ROUNDS, MAX_TIMES = 8, (2, 3), 3
+
+
+def restart_friction(fit: Fit, estimates: Sequence[Estimate], iterations: int) -> None:
+    """Multistart: improves in place those of `estimates` that leave more than noise, but not so much that an effect is missing;
+    what becomes better is improved for `iterations` more.
+
+    A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the local minimum in
+    which they began. So the friction of the spool is drawn again several times, about the values as given and about those of the
+    estimate in turn; all starts are improved side by side, the better half for longer (successive halving).
+    """
+    rng = np.random.default_rng(0)
+    live = [p for p in estimates if any(u.name in DRAWN for u in p.unknowns)]
+    for _ in range(MAX_TIMES if fit.settings.uses("restart_friction") else 0):
+        live = [p for p in live if not fit.at_noise(p) and not fit.far_from_noise(p)]
+        fields = [[_with_other_friction(p, n % 2 == 1, rng) for n in range(STARTS)] for p in live]
+        for each in ROUNDS:
+            solve(fit, [p for starts in fields for p in starts], each)
+            fields = [sorted(starts, key=lambda p: p.cost)[: len(starts) // 2] for starts in fields]
+        live = [p for p, starts in zip(live, fields, strict=True) if p.adopt(starts[0])]
+        solve(fit, live, iterations)
+
+
+def _with_other_friction(estimate: Estimate, here: bool, rng: np.random.Generator) -> Estimate:
+    """The same with the friction of the spool drawn again, about its own or (not `here`) the given values."""
+    q = estimate.q.copy()
+    for j, u in enumerate(estimate.unknowns):
+        if u.name in DRAWN:
+            q[j] = (q[j] if here else 0.0) + DRAWN[u.name] / u.scale * rng.standard_normal()
+    twin = estimate.at(np.clip(q, *estimate.bounds))
+    twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
+    return twin
