@@ -40,6 +40,7 @@ from .input.parts import Part
 from .models.base import BLOCK_S, SI, UNITS, Request
 from .models.dynamic_rig import DynamicRig
 from .settings import Settings
+from .stages.values import SHAPE_BY_FORM
 
 __all__ = [
     "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
@@ -53,9 +54,8 @@ PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
 #: Random experiments to begin with, and random pieces of which the best takes a place: two blocks of the kernel, and one.
 FIRST, PIECES_TRIED = 16, 8
-#: An effect may do this much more or less than its law says (`naming.SHAPE_BY_FORM`): less of a difference tells forms apart, not
-#: effects.
-FORM = 0.1
+#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+FORM = SHAPE_BY_FORM
 #: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, this many times at most: down
 #: to an eighth.
 SMALLER, MAX_TIMES_SMALLER = 0.6, 5

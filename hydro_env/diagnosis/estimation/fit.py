@@ -33,8 +33,11 @@ CLEARLY_ABOVE = 2.0
 #: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown: errors of 1.15 times the
 #: noise in one signal.
 SMALL_SUM = 0.15
-#: A log whose mean square error is above this many times the noise's (1.02 squared, as `Fit.at_noise`) could pay for an effect,
-#: if its deviance is worth one parameter of a library of 200 (`candidates.penalty`).
+#: A log is at its noise up to this many times that: two standard deviations of an RMS over `MAX_ROWS` samples,
+#: 1 + 2 / sqrt(12000).
+WITHIN_NOISE = 1.02
+#: A log whose mean square error is above this many times the noise's (that squared) could pay for an effect, if its deviance is
+#: worth one parameter of a library of 200 (`candidates.penalty_per_parameter`).
 ABOVE_NOISE, WORTH = 1.04, 20.0
 #: A residual (`Fit.level`) up to which a local minimum may be the cause, errors of 2.1 times the noise; what a missing effect
 #: leaves is larger.
@@ -117,7 +120,7 @@ class Fit:
         found = (self.levels(estimate.simulated[c], c) for c in self.channels_of(estimate))
         return max(v for each in found for v in each.values())
 
-    def at_noise(self, estimate: Estimate, within: float = 1.02) -> bool:
+    def at_noise(self, estimate: Estimate, within: float = WITHIN_NOISE) -> bool:
         """Whether no signal of any log is left with more than `within` times its noise."""
         return all(
             value < within * self.noise[channel, signal]

@@ -18,12 +18,11 @@ from .unknowns import scaled
 
 __all__ = ["SETTLE_ITERATIONS", "differentiate", "minimum_in_box", "simulate_moves", "solve", "step_all"]
 
-#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
-SETTLE_ITERATIONS = 12
-
 #: Steps of q for finite differences, in turn, since stiction makes the data a rough function of its parameters. Where a prior is
 #: 30 % wide these are 4.5 %, 1.2 % for an estimate that is near its minimum, and 12 % to step over local minima.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
+#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
+SETTLE_ITERATIONS = 4 * len(DIFFERENCE_STEPS)
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Longest step in any coordinate of q: three standard deviations of its prior.

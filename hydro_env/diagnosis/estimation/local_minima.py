@@ -20,7 +20,7 @@ from ...plant import CATALOGUE
 from ..models.base import RigModel, Segment, Segments, effect_in, view
 from .estimate import Estimate
 from .fit import Fit
-from .gauss_newton import solve
+from .gauss_newton import SETTLE_ITERATIONS, solve
 from .unknowns import effect_starts
 
 __all__ = ["best_of_each", "best_on_early_window", "early_window_of", "grow_horizon", "restart_friction"]
@@ -32,7 +32,7 @@ HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1
 #: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
-ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
+ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, SETTLE_ITERATIONS, 4
 #: Residual (`Fit.level`) from which on a beginning is not followed: errors of 1.3 times the noise.
 LOST_LEVEL = 0.3
 #: Starts that are improved on the first horizon, and that go on from there: the estimate's and the given parameters'.
@@ -46,8 +46,6 @@ FIRST_STARTS = 3
 #: A candidate is dropped that is behind the best one by more than this, which pays for five parameters (`candidates.penalty`),
 #: and by more than this share of what the best one gains over no effect.
 FAR_BEHIND, OUT_OF_REACH = 100.0, 0.5
-#: Candidates that go on in any case: as many as a channel may have effects.
-KEPT = 3
 
 
 def early_window_of(rig: RigModel, share: float) -> RigModel:
@@ -100,19 +98,14 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             beginning = beginning.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), starts[0]))
             seen = beginning.on(fit.rig)
             beginning.rescore(starts)
-        if not _followed(beginning, starts[0]):
+        # A shaft that went the other way stays off, a spool that stuck a moment longer does not.
+        if not beginning.level(starts[0]) < LOST_LEVEL:
             break  # something is missing that this effect does not make up for
     for start in starts:
         start.columns = {}
     fit.evaluate(starts)
     solve(fit, starts, LAST_ITERATIONS)
     return min(starts, key=lambda p: p.cost)
-
-
-def _followed(fit: Fit, estimate: Estimate) -> bool:
-    """Whether nothing but a few events is missed in any signal: a shaft that went the other way stays off, a spool that stuck
-    a moment longer does not."""
-    return fit.level(estimate) < LOST_LEVEL
 
 
 def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
@@ -150,8 +143,11 @@ def best_on_early_window(
         beginning = fit.on(early_window_of(fit.rig, share))
         fields = [[p.at(p.q.copy()) for p in field] for field in fields]
         solve(beginning, [p for field in fields for p in field], iterations)
-        fields = [_within_reach(best_of_each(field, kept)) for field in fields]
-    return [[p.at(p.q.copy()) for p in best_of_each(field) if p.label][:KEPT] for field in fields]
+        fields = [_within_reach(fit, best_of_each(field, kept)) for field in fields]
+    return [
+        [p.at(p.q.copy()) for p in best_of_each(field) if p.label][: fit.settings.max_effects]
+        for field in fields
+    ]
 
 
 def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
@@ -176,14 +172,14 @@ def best_of_each(
     return found
 
 
-def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
-    """Those of a field, best first, that may still become the best."""
+def _within_reach(fit: Fit, field: Sequence[Estimate]) -> list[Estimate]:
+    """Those of a field, best first, that may still become the best; in any case as many as a channel may have effects."""
     best = field[0].cost
     fall = min(p.cost for p in field if not p.label) - best
     found: list[Estimate] = []
     for p in field:
         near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
-        if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
+        if near or not p.label or len({f.label for f in found} | {p.label}) <= fit.settings.max_effects:
             found.append(p)
     return found
 

@@ -6,10 +6,10 @@ logs say nothing of, such as the common scale of torques where no load acts, dif
 (randomised maximum likelihood; Oliver, He and Reynolds 1996).
 
 Stretches are longer than the rig's memory, so what is correlated inside one stays together: the shaft with its leakage forgets
-its speed with J / (B + D^2 / Km), 0.18 s on the preset rigs, and what two stretches hold is independent from twice that on. With n
-of them there are C(2n - 1, n) different replicas (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.2); a 95 %
-interval needs at least forty, one beyond each end. With fewer nothing can be told from chance, and the verdict would be `none`
-whatever the rig lacks.
+its speed with J / (B + D^2 / Km), 0.18 s on the preset rigs, and what two stretches hold is independent from twice that on. With
+n of them there are C(2n - 1, n) different replicas (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.2); a
+95 % interval needs at least forty, one beyond each end. With fewer nothing can be told from chance, and the verdict would be
+`none` whatever the rig lacks.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     prior = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9 * np.eye(size)
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
-    low, high = np.quantile(moves, [0.025, 0.975], axis=0)
+    low, high = np.quantile(moves, [_TAIL, 1.0 - _TAIL], axis=0)
     whole = matrices.sum(axis=0) + prior
     spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)

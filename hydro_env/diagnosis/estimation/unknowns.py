@@ -100,11 +100,6 @@ class Unknown:
         """The plausible values within one scale of the centre."""
         return max(self.value(-1.0), self.low), min(self.value(1.0), self.high)
 
-    def at_bound(self, q: float) -> bool:
-        """Whether the estimate sits at the end of what is plausible."""
-        low, high = self.bounds
-        return q <= low + 1e-3 * (high - low) or q >= high - 1e-3 * (high - low)
-
 
 def limited_by_effects() -> set[str]:
     """Base parameters that some effect adds to."""

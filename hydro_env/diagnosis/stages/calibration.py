@@ -13,7 +13,7 @@ from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit, noise_of
-from ..estimation.gauss_newton import solve
+from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
 from ..estimation.local_minima import restart_friction
 from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
 from ..logs import Estimates, Given, Logs, distinct
@@ -29,8 +29,8 @@ __all__ = [
 #: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
 Chosen = Mapping[str, tuple[float, float] | None]
 
-#: Iterations of the calibration: each step of differences (`DIFFERENCE_STEPS`) six times.
-ITERATIONS = 18
+#: Iterations of the calibration: each step of differences six times.
+ITERATIONS = 6 * len(DIFFERENCE_STEPS)
 #: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
 

@@ -14,7 +14,7 @@ from ..estimation.unknowns import Unknown
 from ..logs import Estimates, Logs, place_of
 
 __all__ = [
-    "ACCEPTED", "AFTER_ROUNDS", "OUTDONE", "TOO_LITTLE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
+    "ACCEPTED", "AFTER_ROUNDS", "OUTDONE", "TOO_LITTLE", "VANISHED", "Accepted", "Correction", "Candidate", "Selection",
     "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
@@ -76,14 +76,16 @@ class Accepted:
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`)."""
+class Correction:
+    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`); of one
+    that stayed how far it fell (`fall`)."""
 
     effect: str
     channel: int | None
     correction: str
     estimate: Estimate
     needed: float
+    fall: float = 0.0
 
     @property
     def score(self) -> float:
@@ -103,7 +105,7 @@ class Selection:
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    forms: Mapping[Estimate, Attempt | None] = field(default_factory=dict)
+    forms: Mapping[Estimate, Correction | None] = field(default_factory=dict)
 
     def in_best_form(self) -> Estimates:
         """The estimates, each with its best correction of form where that explains more."""

@@ -14,7 +14,7 @@ from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, s
 from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import bases_of
 from ..logs import Estimates
-from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Attempt, Candidate, judge, penalty
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Correction, judge, penalty
 from .form_correction import best_attempt
 from .screening import Screening
 
@@ -38,7 +38,7 @@ class Search:
     present: Estimates = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
-    forms: dict[Estimate, Attempt | None] = field(default_factory=dict)
+    forms: dict[Estimate, Correction | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.present = self.present or dict(self.calibrated)
@@ -56,10 +56,6 @@ class Search:
     def of_rig(self) -> bool:
         """Whether the present estimate is one of the whole rig."""
         return any(p.channel is None for p in self.present.values())
-
-    def restarted(self) -> Search:
-        """The search for another set of effects, from the calibrated estimates."""
-        return Search(self.fit, self.calibrated, self.screening, self.seconds)
 
     def put(self, channel: int, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
@@ -100,7 +96,7 @@ class Search:
         if self.fit.rig.has_hidden_states:
             solve(self.fit, grow_horizon(self.fit, estimates), SETTLE_ITERATIONS)
 
-    def form_of(self, estimate: Estimate) -> Attempt | None:
+    def form_of(self, estimate: Estimate) -> Correction | None:
         """The estimate with the correction of form that explains most of what it leaves, with its price, if there is one."""
         if estimate not in self.forms:
             self.forms[estimate] = best_attempt(self.fit, estimate, estimate.placed_effects())

@@ -13,14 +13,14 @@ from dataclasses import replace
 
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
-from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
+from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import best_of_each, best_on_early_window
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
 from .screening import Screening, screen
-from .search import Search, short_refit
+from .search import CHEAP_ITERATIONS, Search, short_refit
 
 __all__ = ["better_set", "drop_vanished", "prefer_form", "rig_effect_leads", "run", "select"]
 
@@ -30,8 +30,8 @@ __all__ = ["better_set", "drop_vanished", "prefer_form", "rig_effect_leads", "ru
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full: a half, as above.
 WITHIN_REACH = 0.5
-#: Iterations of a full refit, one with each step of differences, and of one where simulating costs next to nothing.
-FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
+#: Iterations of a full refit, one with each step of differences.
+FULL_ITERATIONS = len(DIFFERENCE_STEPS)
 
 
 def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
@@ -73,7 +73,7 @@ def select(search: Search) -> Search:
     compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
-    other = search.restarted()
+    other = Search(search.fit, search.calibrated, search.screening, search.seconds)
     _search(other, not leads)
     return better_set(search, other)
 

@@ -142,7 +142,9 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
         if not silent and worse and uses("doubt_worse"):
             yield f"{plain} is explained worse with the named effects than by calibration alone"
         times = fitted["after"] / fitted["noise"]
-        far = fit_apart.get(signal, 0.0) < times and _far_from_explained(fitted)
+        # Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
+        far = fitted["after"] > max(LEFT_NOISE * fitted["noise"], LEFT_SHARE * fitted["calibrated"])
+        far = far and fit_apart.get(signal, 0.0) < times
         if dynamic and far and level[signal] > LEFT_LEVEL and uses("doubt_left"):
             yield f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
 
@@ -152,11 +154,3 @@ def _worse(entry: dict[str, float]) -> bool:
     noise = entry["noise"] ** 2
     after = min(entry["after"], entry.get(NAMED, entry["after"])) ** 2
     return after > AT_NOISE**2 * noise and after - noise > WORSE * (entry["calibrated"] ** 2 - noise)
-
-
-def _far_from_explained(entry: dict[str, float]) -> bool:
-    """Whether a signal is left far from its noise, by what calibration alone left too.
-
-    Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
-    """
-    return entry["after"] > max(LEFT_NOISE * entry["noise"], LEFT_SHARE * entry["calibrated"])

@@ -22,6 +22,8 @@ __all__ = ["about_bounds", "about_logs", "run"]
 #: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
 #: many times the noise: differences that a reader would see.
 WORSE, WORSE_NOISE = 1.1, 1.3
+#: An estimate is at a bound, or as given, within this share of its range: less than any interval.
+AT_BOUND = 1e-3
 
 
 def run(state: State) -> list[str]:
@@ -64,9 +66,9 @@ def about_bounds(estimates: Estimates) -> list[str]:
     found = []
     for c, estimate in estimates.items():
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+            (first, last), near = u.bounds, AT_BOUND * (u.bounds[1] - u.bounds[0])
             # What stayed as given may be given at the end of its range; a correction is no physics.
-            stayed = abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0])
-            if stayed or not u.at_bound(float(q)) or (u.effect and is_correction(u.effect)):
+            if abs(q) <= near or first + near < q < last - near or (u.effect and is_correction(u.effect)):
                 continue
             # A given effect may be absent; the upper end of a limit's range stands for none.
             if "." in u.parameter:
