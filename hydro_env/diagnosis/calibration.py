@@ -33,8 +33,6 @@ from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, estimated_model, known_parameters
 from .stages.warnings import about_bounds, about_logs
 
-__all__ = ["Calibration", "Residual", "estimate"]
-
 
 @dataclass(frozen=True)
 class Residual:

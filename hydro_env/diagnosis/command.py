@@ -15,8 +15,6 @@ from .result import Diagnosis
 from .stages.next_experiment import FILE as NEXT_EXPERIMENT
 from .workflow import diagnose
 
-__all__ = ["run", "write"]
-
 
 def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, jobs: int | None = None,

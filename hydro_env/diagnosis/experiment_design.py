@@ -42,10 +42,6 @@ from .models.dynamic_rig import DynamicRig
 from .settings import Settings
 from .stages.values import SHAPE_BY_FORM
 
-__all__ = [
-    "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
-]  # fmt: skip
-
 Array = np.ndarray
 
 #: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory

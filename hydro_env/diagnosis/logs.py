@@ -10,8 +10,6 @@ from .estimation.estimate import Estimate
 from .estimation.fit import Fit
 from .models.base import RigModel
 
-__all__ = ["Estimates", "Given", "Logs", "distinct", "place_of"]
-
 #: Estimates by channel; the same one for both where the whole rig was estimated together.
 Estimates = dict[int, Estimate]
 

@@ -21,8 +21,6 @@ from .models.steady_valve import SteadyValve
 from .settings import Settings
 from .stages import row_times
 
-__all__ = ["opened"]
-
 
 @contextmanager
 def opened(

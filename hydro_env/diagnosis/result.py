@@ -15,8 +15,6 @@ from .stages.screening import detectable, hidden_by_calibration
 from .stages.values import effect_values, known_parameters
 from .state import State
 
-__all__ = ["SCHEMA", "Diagnosis"]
-
 SCHEMA = "hydro_env/diagnosis/1"
 
 

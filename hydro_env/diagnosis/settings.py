@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 from ..errors import InputError, suggestion
 
-__all__ = ["RULES", "Settings"]
-
 #: What each rule does, by its name.
 RULES = {
     "compare_sets": "compare a set of local effects with one that has an effect of the whole rig",

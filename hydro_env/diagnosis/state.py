@@ -16,8 +16,6 @@ from .stages.screening import Screening
 from .stages.values import estimated_model
 from .stages.verdict import Confirmed
 
-__all__ = ["State"]
-
 
 @dataclass(frozen=True)
 class State(Confirmed):

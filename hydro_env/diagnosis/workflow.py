@@ -40,8 +40,6 @@ from .stages import (
 )
 from .state import State
 
-__all__ = ["STAGES", "diagnose"]
-
 #: The settings unless others are given.
 DEFAULT = Settings()
 #: The stages in their order, each with what a progress bar says.

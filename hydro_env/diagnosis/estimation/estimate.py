@@ -12,8 +12,6 @@ from ...plant import CATALOGUE, Effect
 from ..models.base import Request
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
-__all__ = ["Estimate", "Intervals", "Vector", "joined"]
-
 Vector = np.ndarray
 
 

@@ -19,8 +19,6 @@ from ..settings import Settings
 from .estimate import Estimate, Vector
 from .noise import WINDOW_S, effective_samples, noise_floor
 
-__all__ = ["Fit", "Noise", "noise_in", "noise_of"]
-
 #: Standard deviations of the noise by (channel, signal), in SI.
 Noise = dict[tuple[int, str], float]
 #: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).

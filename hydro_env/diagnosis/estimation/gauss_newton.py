@@ -16,8 +16,6 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["SETTLE_ITERATIONS", "differentiate", "minimum_in_box", "simulate_moves", "solve", "step_all"]
-
 #: Steps of q for finite differences, in turn, since stiction makes the data a rough function of its parameters. Where a prior is
 #: 30 % wide these are 4.5 %, 1.2 % for an estimate that is near its minimum, and 12 % to step over local minima.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)

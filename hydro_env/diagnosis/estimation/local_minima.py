@@ -23,8 +23,6 @@ from .fit import Fit
 from .gauss_newton import SETTLE_ITERATIONS, solve
 from .unknowns import effect_starts
 
-__all__ = ["best_of_each", "best_on_early_window", "early_window_of", "grow_horizon", "restart_friction"]
-
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
 #: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs.

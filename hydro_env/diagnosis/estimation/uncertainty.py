@@ -22,11 +22,6 @@ from .estimate import Estimate, Intervals, Vector
 from .fit import Fit
 from .gauss_newton import minimum_in_box
 
-__all__ = [
-    "CANNOT_BE_PREDICTED", "SHORTEST_S", "STRETCH_S", "TWO_SIDED_95", "bootstrap", "intervals_of", "nearest_inside",
-    "predictions_apart", "probability_of_gain", "replica_differences", "unpredictable",
-]  # fmt: skip
-
 #: Length of a stretch, s.
 STRETCH_S = 0.5
 #: Chance that a value lies beyond one end of a 95 % interval.

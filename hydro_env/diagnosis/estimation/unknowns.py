@@ -17,11 +17,6 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, parameter_of
 from ...plant.parameters import SCALINGS
 
-__all__ = [
-    "SCALED_TOGETHER", "Unknown", "base_unknown", "bases_of", "effect_starts", "effect_unknowns", "given_unknown", "less_taken",
-    "limited_by_effects", "scaled", "within",
-]  # fmt: skip
-
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range): data sheets leave as much
 #: open; and of friction, which dirt and wear change by factors.
 PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5

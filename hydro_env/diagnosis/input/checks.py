@@ -14,8 +14,6 @@ from ...measured.mapping import LINES
 from ..estimation.uncertainty import SHORTEST_S, STRETCH_S
 from .parts import Part, overlap, read_parts
 
-__all__ = ["read_logs"]
-
 #: A channel stands still if its speed (RMS) is below this share of the other channel's peak: what noise and a shared base move.
 STANDS_STILL = 0.02
 

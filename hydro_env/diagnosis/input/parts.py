@@ -22,8 +22,6 @@ from ...measured import Mapping, RigLog, load_mapping, read_log
 from ...measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
-__all__ = ["Part", "filled", "overlap", "read_parts", "timed"]
-
 #: The windows of a log of which no part is named.
 ALL = [(-np.inf, np.inf)]
 #: Commands of uneven logs are held on a grid of about this step, s: within it the mean of a command does what the command does.

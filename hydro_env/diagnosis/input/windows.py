@@ -11,8 +11,6 @@ import numpy as np
 
 from ...measured import RigLog
 
-__all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
-
 #: Beyond this length a log is looked at in windows, s; length and number of the windows: two logs of that length are diagnosed in
 #: a minute, and are as long as those of the blind trials.
 LONG_S = 120.0

@@ -20,11 +20,6 @@ from ...plant.catalogue.form_corrections import follows
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
-__all__ = [
-    "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "SI", "UNITS", "Joined", "Segment", "Segments",
-    "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
-]  # fmt: skip
-
 #: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
 #: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`estimation.uncertainty`).

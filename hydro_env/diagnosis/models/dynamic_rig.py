@@ -18,8 +18,6 @@ from ...units import RPM
 from ..input.parts import Part
 from .base import UNITS, Request, RigModel, given_parameters, view
 
-__all__ = ["DynamicRig"]
-
 #: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
 #: With more in the fit its costs become rough: it takes more simulations than it saves time for.
 TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM

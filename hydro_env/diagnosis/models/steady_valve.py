@@ -25,8 +25,6 @@ from ...plant.catalogue.effect import helpers_of
 from ..input.parts import Part, filled
 from .base import Request, RigModel, given_parameters
 
-__all__ = ["SteadyValve"]
-
 #: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
 SUPPORTED = (
     "command_delay", "driver_saturation", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation",

@@ -17,12 +17,11 @@ from ...plant import CATALOGUE
 from ..models.base import Segment
 from ..stages.localisation import Location
 from ..stages.next_experiment import NextExperiment
+from ..stages.screening import detectable, hidden_by_calibration
 from ..stages.values import known_parameters
 from ..state import State
 from . import statements as say
 from . import wording as words
-
-__all__ = ["report_page"]
 
 #: Points of a trace in a picture: one for each pixel of its width.
 POINTS = 900
@@ -47,7 +46,7 @@ def report_page(
         state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=say, words=words,
         catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
         parameters=[(p, say.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
-        traces=traces(state), maps=maps(state),
+        traces=traces(state), maps=maps(state), seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
     )  # fmt: skip
 
 

@@ -11,18 +11,12 @@ from ..models.base import RigModel
 from ..stages.candidates import Candidate
 from ..stages.localisation import Location
 from ..stages.naming import NamedEffect
-from ..stages.screening import detectable, hidden_by_calibration
+from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
 from ..state import State
 from . import wording as words
-
-__all__ = [
-    "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
-    "headline", "hidden_by_calibration", "log_names", "places", "ranking", "remaining",
-    "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
-]  # fmt: skip
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5

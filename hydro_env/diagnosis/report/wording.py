@@ -13,11 +13,6 @@ from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
 from ..stages.values import Interval
 
-__all__ = [
-    "KEY_UNITS", "SIGNALS", "equation", "interval", "known", "listed", "number", "of_command", "plain", "title", "unit_of",
-    "where",
-]  # fmt: skip
-
 _EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
     "shaft": "the shaft (speed from pressure and load)", "lines": "the lines (mean of both line pressures)",

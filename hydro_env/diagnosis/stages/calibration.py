@@ -22,10 +22,6 @@ from ..settings import Settings
 from .row_times import without_outliers
 from .screening import Screening
 
-__all__ = [
-    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "check_chosen", "fit_as_given", "run",
-]  # fmt: skip
-
 #: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
 Chosen = Mapping[str, tuple[float, float] | None]
 

@@ -13,11 +13,6 @@ from ..estimation.fit import Fit
 from ..estimation.unknowns import Unknown
 from ..logs import Estimates, Logs, place_of
 
-__all__ = [
-    "ACCEPTED", "AFTER_ROUNDS", "OUTDONE", "TOO_LITTLE", "VANISHED", "Accepted", "Correction", "Candidate", "Selection",
-    "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
-]  # fmt: skip
-
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "accepted"
 OUTDONE = "others explain more"

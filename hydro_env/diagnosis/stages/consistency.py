@@ -23,8 +23,6 @@ from .calibration import fit_as_given
 from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
-__all__ = ["implausible", "run"]
-
 #: Units in which a signal is really recorded.
 _UNITS = {
     "speed": ("rpm", "rad/s", "deg/s"), "pressure": ("bar", "kPa", "Pa", "MPa", "psi"), "current": ("A", "mA"),

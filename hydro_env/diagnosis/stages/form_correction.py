@@ -26,12 +26,6 @@ from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
 from .candidates import Correction, Selection, penalty_per_parameter
 
-__all__ = [
-    "Models", "attempts", "best_attempt", "correct", "correct_all", "given_on", "is_correction", "of_given", "run",
-    "with_correction",
-]  # fmt: skip
-
-
 #: Iterations of a joint refit with a correction; the one that is kept goes as far as it goes.
 TRY_ITERATIONS = 8
 #: Corrections of one estimate at most, besides one for each given effect: in blind trials (docs/evidence/notes.md) a second one

@@ -12,8 +12,6 @@ from ..logs import Estimates
 from ..models.base import RigModel, Segment
 from .shaft import given_shaft, shaft_of
 
-__all__ = ["eccentric", "runs_apart"]
-
 #: A line once per turn stands out if it is this many times the largest of the lines at these four other orders, which no part of
 #: a motor has: of noise one in 24,000 does. Less than this share of a speed of 500 rpm is below its usual noise.
 STANDS_OUT, ORDERS, MIN_LINE = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002

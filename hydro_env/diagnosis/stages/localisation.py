@@ -26,8 +26,6 @@ from ..models.base import RigModel
 from .shaft import SHAFT, Shaft, given_shaft, shaft_of
 from .validation import AT_NOISE
 
-__all__ = ["Location", "Shape", "locate", "run", "shape"]
-
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 #: Steps to the shaft that explains measurement best: its equation is nearly linear in the three.
 SHAFT_STEPS = 8

@@ -18,8 +18,6 @@ from .validation import AT_NOISE
 from .values import Interval, effect_values, row_of, widened_by_form
 from .verdict import Confirmed
 
-__all__ = ["NamedEffect", "name_effects", "run"]
-
 #: Values of the two channels that differ by less (relative) are one effect of both: two valves of a kind differ as much.
 SAME_VALUE = 0.15
 #: Of names that the logs do not confirm the share that is right, as a factor on their probability: 17 of 80 guesses of three

@@ -31,8 +31,6 @@ from ..models.dynamic_rig import DynamicRig
 from ..state import State
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
-
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
 #: The model without any effect: the other one where a single candidate explains something.

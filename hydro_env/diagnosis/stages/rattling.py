@@ -22,9 +22,6 @@ from .calibration import Calibrated, as_given
 from .candidates import penalty
 from .screening import Screening
 
-__all__ = ["run"]
-
-
 EFFECT = "shaft_backlash"
 #: First looks, over most of what is plausible: shares of the known inertia that are behind the coupling, and its gap and
 #: stiffness over their usual ones.

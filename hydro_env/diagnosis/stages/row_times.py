@@ -22,8 +22,6 @@ from ..input.parts import Part, timed
 from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments, view
 
-__all__ = ["settled", "without_outliers"]
-
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
 #: nothing of it is true, and of commands a whole row earlier half of that, where half a row is.
 EVEN, AHEAD = 0.5, 0.25

@@ -20,8 +20,6 @@ from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, Logs, place_of
 from ..models.base import effect_in
 
-__all__ = ["Screening", "detectable", "hidden_by_calibration", "run", "screen"]
-
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what
 #: three parameters must pay for (`candidates.penalty`), the most that the size of an effect of the catalogue has.
 VISIBLE = 60.0

@@ -18,8 +18,6 @@ from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Co
 from .form_correction import best_attempt
 from .screening import Screening
 
-__all__ = ["Search", "short_refit"]
-
 #: Iterations of a short refit: one to come near, one from there. Where simulating costs next to nothing there are more.
 SHORT_ITERATIONS, CHEAP_ITERATIONS = 2, 10
 #: Multiples of a step of a short refit: parts of it are the best of all in one of forty.

@@ -22,9 +22,6 @@ from .form_correction import given_on, is_correction
 from .screening import Screening, screen
 from .search import CHEAP_ITERATIONS, Search, short_refit
 
-__all__ = ["better_set", "drop_vanished", "prefer_form", "rig_effect_leads", "run", "select"]
-
-
 #: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
 #: This is successive halving (Karnin, Koren and Somekh 2013) by quarters: of some forty candidates 12 and of these 3 go on.
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)

@@ -13,8 +13,6 @@ from ..logs import Logs
 from ..models.base import RigModel
 from .form_correction import Models
 
-__all__ = ["run", "settle", "undetermined"]
-
 #: A command that moves by less than this share of the rated one, a few steps of a converter, is constant.
 CONSTANT = 0.01
 

@@ -12,8 +12,6 @@ from ..logs import Estimates, Logs
 from ..models.base import UNITS, RigModel
 from .form_correction import Models
 
-__all__ = ["AT_NOISE", "NAMED", "Proof", "Proofs", "prove", "run", "shown_unit", "signal_key"]
-
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
 #: A signal is at its noise up to this many times that: a fifth more power, which is more than the noise itself is uncertain by.

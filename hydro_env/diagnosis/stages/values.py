@@ -13,11 +13,6 @@ from ..estimation.uncertainty import TWO_SIDED_95
 from ..logs import Estimates
 from ..models.base import RigModel, effect_in
 
-__all__ = [
-    "Interval", "KnownParameter", "absent_effects", "effect_values", "estimated_model", "known_parameters",
-    "row_of", "widened_by_form",
-]  # fmt: skip
-
 #: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
 #: deviations of that: as far as a correction of form has moved the value, and at least these shares of a size (of its distance
 #: from neutral) or of what shapes the law (found in blind trials, docs/evidence/notes.md).

@@ -17,9 +17,6 @@ from .form_correction import Models
 from .validation import AT_NOISE, NAMED, Proofs
 from .values import effect_values
 
-__all__ = ["Confirmed", "confirm", "decide", "doubts"]
-
-
 #: A signal of the held-out logs is made worse if its error is this many times what calibration alone leaves, and this many times
 #: the noise. With these and the next three values only wrong names were doubted in blind trials (docs/evidence/notes.md).
 WORSE, WORSE_NOISE = 1.2, 3.0

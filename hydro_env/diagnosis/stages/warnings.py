@@ -17,8 +17,6 @@ from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
 from .values import absent_effects
 
-__all__ = ["about_bounds", "about_logs", "run"]
-
 #: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
 #: many times the noise: differences that a reader would see.
 WORSE, WORSE_NOISE = 1.1, 1.3
