@@ -17,7 +17,7 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .gauss_newton import simulate_moves, step_all
 
-#: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
+#: Reach of the secants in standard deviations, in turn, a third each; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
 #: Turns at most, and the fall of the cost in one below which an estimate has settled: that of one parameter that moves by its
 #: standard deviation.

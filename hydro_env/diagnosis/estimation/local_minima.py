@@ -25,7 +25,8 @@ from .unknowns import effect_starts
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
-#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs.
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs; still smaller ones changed no name
+#: (docs/evidence/notes.md).
 HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1

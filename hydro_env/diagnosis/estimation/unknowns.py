@@ -21,7 +21,7 @@ from ...plant.parameters import SCALINGS
 #: open; and of friction, which dirt and wear change by factors.
 PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
 #: Base parameters that an effect of the catalogue adds to may be larger by this factor only, a standard deviation of the others'
-#: priors: more has a name there.
+#: priors, exp(`PRIOR_SPREAD`): more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
 #: First looks at an effect: sizes over the typical one, so near to each other that a step (`STEP_FACTORS`) leads from one to the

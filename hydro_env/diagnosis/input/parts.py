@@ -24,7 +24,8 @@ from .windows import LONG_S, WARM_S, choose, rest_starts
 
 #: The windows of a log of which no part is named.
 ALL = [(-np.inf, np.inf)]
-#: Commands of uneven logs are held on a grid of about this step, s: within it the mean of a command does what the command does.
+#: Commands of uneven logs are held on a grid of about this step, s, a quarter of the time constant L / R of the paper's coil:
+#: within it the mean of a command does what the command does.
 FINE_S = 2.5e-4
 
 

@@ -25,11 +25,13 @@ TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
-#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks.
+#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks
+#: (docs/evidence/notes.md).
 FOLLOWING_BLOCK = 4 * BLOCK
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
-#: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
+#: Bytes of inputs of batches that are kept, about: those of eight lanes of 12 s at 1 kHz take 3 MB, and one request for all
+#: candidates has some thirty batches.
 MAX_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
