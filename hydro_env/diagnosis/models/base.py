@@ -6,7 +6,7 @@ which only command and speed (and perhaps pressure) are known. Everything after 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -193,7 +193,23 @@ class RigModel:
     ) -> None:  # fmt: skip
         self.model, self.parts, self.progress, self.without = model, parts, progress, without
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, Segments] = measured_segments(parts, self.channels, signals, every_row)
+        self.segments = {c: Segments(self._measured(c, signals, every_row)) for c in self.channels}
+
+    def _measured(self, channel: int, signals: Sequence[str], every_row: bool) -> Iterator[Segment]:
+        """The measurements of a channel, which lie one behind the other in a vector."""
+        place = 0
+        for number, part in enumerate(self.parts):
+            log = part.log
+            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
+            rows, period = np.arange(0, len(log), step), log.period * step
+            late = None if log.late is None else log.late[rows] / log.period
+            for signal in (s for s in signals if log.has(s, channel)):
+                values = log.get(signal)
+                assert values is not None
+                own, where = values[rows, channel], slice(place, place + rows.size)
+                inside = part.inside[rows]
+                yield Segment(number, channel, signal, own, rows, inside, period, where, late, part.finer)
+                place = where.stop
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
@@ -272,27 +288,3 @@ def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:
     """An effect of the catalogue with the sizes that are usual on this rig; `channel` as in `Request`. First looks stand where
     many logs have shown them to lead to a minimum, so they do not move with what is about as large as on the paper's rig."""
     return scales_of(rig.model, channel).rough.effect(CATALOGUE[name])
-
-
-def measured_segments(
-    parts: Sequence[Part], channels: Sequence[int], signals: Sequence[str], every_row: bool
-) -> dict[int, Segments]:
-    """The measurements of every channel as segments that lie one behind the other in a vector."""
-    found: dict[int, Segments] = {}
-    for channel in channels:
-        place, found[channel] = 0, Segments()
-        for number, part in enumerate(parts):
-            log = part.log
-            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
-            rows, period = np.arange(0, len(log), step), log.period * step
-            late = None if log.late is None else log.late[rows] / log.period
-            for signal in (s for s in signals if log.has(s, channel)):
-                values = log.get(signal)
-                assert values is not None
-                own, where = values[rows, channel], slice(place, place + rows.size)
-                known = part.inside[rows]
-                found[channel].append(
-                    Segment(number, channel, signal, own, rows, known, period, where, late, part.finer)
-                )
-                place = where.stop
-    return found
