@@ -240,7 +240,7 @@ def test_without_a_name_nothing_is_corrected() -> None:
 
 
 def test_a_correction_repeats_what_it_corrects() -> None:
-    problem = with_correction(_bare(), "dead_zone", "corner_shape")
+    problem = with_correction(_bare(), "dead_zone", CATALOGUE["corner_shape"])
     values = problem.request().values
     assert values["corner_shape.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
     assert values["corner_shape.turn"] == 1.0 and "corner_shape.turn" not in [
@@ -256,7 +256,7 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
     values = joined({0: first, 1: other}).request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, 3e-5)
     other.unknowns, other.q = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.2}), np.zeros(1)
-    whole = with_correction(joined({0: first, 1: other}), "dead_zone", "corner_shape", 0)
+    whole = with_correction(joined({0: first, 1: other}), "dead_zone", CATALOGUE["corner_shape"], 0)
     values = whole.request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, nan) and values["load_bias.bias"] == (nan, 0.2)
     assert values["corner_shape.rounding"] == (1e-5, nan)

@@ -14,7 +14,7 @@ from math import pi, sqrt
 import numpy as np
 
 from ...plant.scales import swing
-from ..models.base import BLOCK_S, Joined, RigModel, Segment
+from ..models.base import BLOCK_S, Joined, RigModel, Samples, Segment
 from ..settings import Settings
 from .estimate import Estimate, Vector
 from .noise import WINDOW_S, effective_samples, noise_floor
@@ -83,9 +83,8 @@ class Fit:
     def with_noise_seen_by(self, estimates: dict[int, Estimate]) -> Fit:
         """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
         seen = noise_of(self.rig, estimates)
-        return replace(
-            self, noise={key: min(value, seen.get(key, value)) for key, value in self.noise.items()}
-        )
+        noise = {key: min(value, seen.get(key, value)) for key, value in self.noise.items()}
+        return replace(self, noise=noise)
 
     def channels_of(self, estimate: Estimate) -> tuple[int, ...]:
         return self.rig.channels if estimate.channel is None else (estimate.channel,)
@@ -178,7 +177,7 @@ class Fit:
         mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
         return j, mean + np.array([self.noise[channel, signal] ** 2 for signal in j.signals])[j.signal]
 
-    def cost(self, estimate: Estimate, simulated: dict[int, Vector], q: Vector) -> float:
+    def cost(self, estimate: Estimate, simulated: Samples, q: Vector) -> float:
         """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
         total = float(sum(v * v for u, v in zip(estimate.unknowns, q, strict=True) if u.prior))
         for channel in self.channels_of(estimate):
@@ -201,7 +200,7 @@ class Fit:
         for one, result in zip(estimates, self.rig.predict([p.request() for p in estimates]), strict=True):
             self.take(one, result)
 
-    def take(self, estimate: Estimate, simulated: dict[int, Vector]) -> None:
+    def take(self, estimate: Estimate, simulated: Samples) -> None:
         """Sets what was simulated at the estimate, and its cost."""
         estimate.simulated, estimate.cost = simulated, self.cost(estimate, simulated, estimate.q)
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
+from ..models.base import Samples
 from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
@@ -98,7 +99,7 @@ def minimum_in_box(matrix: np.ndarray, side: np.ndarray, low: np.ndarray, high: 
 # --- derivatives ----------------------------------------------------------------------------------------------------------
 def simulate_moves(
     fit: Fit, estimates: Sequence[Estimate], moves: Sequence[Sequence[Vector]]
-) -> Iterator[tuple[list[dict[int, Vector]], list[float]]]:
+) -> Iterator[tuple[list[Samples], list[float]]]:
     """Simulates every estimate again and, in the steps of that simulation, the points at its `moves` of q: yields by estimate the
     samples at these points and their costs."""
     requests = [r for p, own in zip(estimates, moves, strict=True) for r in p.beside(own)]
@@ -111,7 +112,7 @@ def simulate_moves(
 
 def differentiate(
     fit: Fit, estimates: Sequence[Estimate], only: Sequence[Sequence[int]] | None = None, size: float = DIFFERENCE_STEPS[0]
-) -> list[tuple[float, Vector, dict[int, Vector]]]:  # fmt: skip
+) -> list[tuple[float, Vector, Samples]]:  # fmt: skip
     """Sets `columns` of every estimate, or only the columns `only` (one list of numbers for each estimate).
 
     Returns for every estimate the best of the points inside its bounds that were simulated for it: (cost, q, samples).

@@ -57,9 +57,7 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     return Intervals(low, high, draws.reshape(DRAWS, size))
 
 
-def nearest_inside(
-    matrix: np.ndarray, move: np.ndarray, q: np.ndarray, bounds: tuple[Vector, Vector]
-) -> np.ndarray:
+def nearest_inside(matrix: Vector, move: Vector, q: Vector, bounds: tuple[Vector, Vector]) -> Vector:
     """The q inside the bounds that the logs distinguish least from `q + move`.
 
     Clipping every parameter for itself would break combinations of parameters that make up for each other.
@@ -74,9 +72,7 @@ def nearest_inside(
     return np.clip(inside + found, low, high)
 
 
-def bootstrap(
-    matrices: np.ndarray, sides: np.ndarray, prior: np.ndarray, q: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
+def bootstrap(matrices: Vector, sides: Vector, prior: Vector, q: Vector, rng: np.random.Generator) -> Vector:
     """Moves of q (REPLICAS, k) about their middle."""
     count = len(matrices)
     moves = np.empty((REPLICAS, len(q)))

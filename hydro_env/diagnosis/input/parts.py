@@ -103,9 +103,8 @@ def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Par
     both = recorded.command_V, np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
     held = np.array([recorded.held(np.nan_to_num(values), lead, even, finer)[fine] for values in both])
     load, late = (None if values is None else values[rows] for values in (again.load, again.late))
-    return replace(
-        part, held=held, log=replace(part.log, command_V=again.command_V[rows], load=load, late=late)
-    )
+    log = replace(part.log, command_V=again.command_V[rows], load=load, late=late)
+    return replace(part, held=held, log=log)
 
 
 def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:

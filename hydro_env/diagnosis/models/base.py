@@ -20,6 +20,8 @@ from ...plant.catalogue.form_corrections import follows
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
+#: What was simulated of each channel: samples (n,) in the order of its segments.
+Samples = dict[int, np.ndarray]
 #: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
 #: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`estimation.uncertainty`).
@@ -219,7 +221,7 @@ class RigModel:
         """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
         raise NotImplementedError
 
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+    def predict(self, requests: Sequence[Request]) -> list[Samples]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
         raise NotImplementedError
 

@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
 from ...plant.catalogue.effect import helpers_of
 from ..input.parts import Part, filled
-from .base import Request, RigModel, given_parameters
+from .base import Request, RigModel, Samples, given_parameters
 
 #: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
 SUPPORTED = (
@@ -108,8 +108,8 @@ class SteadyValve(RigModel):
         return alpha * np.nan_to_num(part.log.command_V[:, channel]) / (resistance * spring)
 
     # --- simulation -----------------------------------------------------------------------------------------------------
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+    def predict(self, requests: Sequence[Request]) -> list[Samples]:
+        results: list[Samples] = [{} for _ in requests]
         groups: dict[tuple[int, frozenset[str]], list[int]] = {}
         for number, request in enumerate(requests):
             for channel in self.channels if request.channel is None else (request.channel,):

@@ -275,7 +275,6 @@ def ranking(state: State) -> list[Candidate]:
     for n in state.effects:
         for key in ((other, c) for other in n.indistinguishable_from for c in n.channels or (None,)):
             if key in last and not last[key].accepted:
-                last[key] = replace(
-                    last[key], outcome=f"as good: indistinguishable from {words.plain(n.name)}"
-                )
+                outcome = f"as good: indistinguishable from {words.plain(n.name)}"
+                last[key] = replace(last[key], outcome=outcome)
     return sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))

@@ -94,9 +94,8 @@ def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
         return f"{title(effect)}: {CATALOGUE[effect].parameter(own).title}"
     text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
-        stroke = (
-            model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
-        )
+        alpha, rated, resistance, spring = (model.value(n, c) for n in ("alpha", "u_rated", "R", "k"))
+        stroke = alpha * rated / (resistance * spring)
         text += f" ({number(value * stroke / LPM)} l/min at full command)"
     return text
 

@@ -45,6 +45,8 @@ _SUPPLY = 1.2
 _LESS = 4.0
 #: Fewest rows that are compared.
 _ROWS = 100
+#: Correlation and ratio of sizes of a signal and the model's, by signal and channel.
+Likes = dict[tuple[str, int], tuple[float, float]]
 _HINT = "give the right unit in a mapping, or a model of this machine"
 
 
@@ -72,7 +74,7 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     if not rig.has_hidden_states:  # the steady-valve model takes its scale from the log
         return []
     found: list[Finding] = []
-    likes: dict[tuple[str, int], tuple[float, float]] = {}
+    likes: Likes = {}
     for channel in rig.channels:
         for signal in _compared(rig, channel):
             like = likes[signal, channel] = _alike(_pair(rig, given, channel, channel, signal))
@@ -185,7 +187,7 @@ def _load(rig: RigModel) -> Iterator[Finding]:
             yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
 
-def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
+def _units(rig: RigModel, likes: Likes) -> Iterator[Finding]:
     """Signals whose size is off by the factor between two units."""
     for channel in rig.channels:
         # Pressures with many holes give no shaft; then the model of each signal is all there is.
@@ -204,9 +206,7 @@ def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> 
                 yield _unit(rig, signal, channel, ratio, meant, off < _SURE and abs(like) > 0.85)
 
 
-def _tied_units(
-    rig: RigModel, channel: int, likes: dict[tuple[str, int], tuple[float, float]]
-) -> Iterator[Finding]:
+def _tied_units(rig: RigModel, channel: int, likes: Likes) -> Iterator[Finding]:
     """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
 
     Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly. Where no unit fits it is

@@ -58,8 +58,10 @@ class Models:
         """The same with copies of the estimates that are reported, and these; one that is several models' stays one."""
         twins = {p: replace(p) for p in self.shown.values()}
         every = self.given, self.calibrated, self.named, self.final, self.placebo
-        groups = [{c: twins.get(p, p) for c, p in group.items()} for group in every]
-        return Models(*groups, self.corrections), list(twins.values())
+        given, calibrated, named, final, placebo = (
+            {c: twins.get(p, p) for c, p in own.items()} for own in every
+        )
+        return Models(given, calibrated, named, final, placebo, self.corrections), list(twins.values())
 
     def as_named(self) -> Models:
         """The same without the corrections of what is named."""
@@ -112,19 +114,15 @@ def is_correction(effect: str) -> bool:
     return CATALOGUE[effect].family == FAMILY
 
 
-def with_correction(
-    estimate: Estimate, effect: str, of: Effect | str, channel: int | None = None
-) -> Estimate:
-    """The estimate with a correction `of` one of its effects more, one of the paper's rig by its name; `channel` is the effect's,
-    where the estimate is the rig's.
+def with_correction(estimate: Estimate, effect: str, of: Effect, channel: int | None = None) -> Estimate:
+    """The estimate with a correction `of` one of its effects more; `channel` is the effect's, where the estimate is the rig's.
 
     Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
     """
     alone = channel if estimate.channel is None else None
-    described = CATALOGUE[of] if isinstance(of, str) else of
-    correction = described.name
+    correction = of.name
     repeated, added = follows(correction, effect), []
-    for p in described.parameters:
+    for p in of.parameters:
         if f"{correction}.{p.name}" in repeated:
             continue
         # The prior is as wide as a correction usually is: ridge regression, in other words.

@@ -83,9 +83,8 @@ def _rate(s: Segment, simulated: np.ndarray) -> float | None:
         if np.isnan(seen).mean() > 0.1:
             continue
         seen = filled(seen) - np.nanmean(seen)
-        many = np.lib.stride_tricks.sliding_window_view(
-            simulated[start - reach : start + width + reach], width
-        )
+        around = simulated[start - reach : start + width + reach]
+        many = np.lib.stride_tricks.sliding_window_view(around, width)
         many = many - many.mean(axis=1, keepdims=True)
         like = many @ seen / np.sqrt(np.maximum((many * many).sum(axis=1) * (seen @ seen), 1e-30))
         best = int(np.argmax(like))

@@ -11,7 +11,7 @@ from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate
 from ..estimation.fit import Fit
 from ..estimation.uncertainty import probability_of_gain
-from ..logs import Estimates
+from ..logs import Estimates, place_of
 from ..models.base import effect_in
 from .candidates import Accepted, Selection
 from .validation import AT_NOISE
@@ -42,9 +42,7 @@ class NamedEffect:
     @property
     def channel(self) -> str:
         """ "1", "2", "both" or "rig"."""
-        return (
-            "rig" if not self.channels else "both" if len(self.channels) == 2 else str(self.channels[0] + 1)
-        )
+        return "both" if len(self.channels) == 2 else place_of(self.channels[0] if self.channels else None)
 
     def as_dict(self) -> dict[str, Any]:
         return {

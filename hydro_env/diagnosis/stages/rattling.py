@@ -87,9 +87,8 @@ def _looks(fit: Fit, bare: Estimate, c: int, points: Vector) -> list[Estimate]:
     """The estimate with a backlash at each of `points` (n, 4), logarithms of its parameters, simulated."""
     effect, found = effect_in(fit.rig, EFFECT, c), []
     for point in np.exp(points):
-        start = {
-            p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(effect.parameters, point, strict=True)
-        }
+        both = zip(effect.parameters, point, strict=True)
+        start = {p.name: float(np.clip(v, p.low, p.high)) for p, v in both}
         found.append(bare.with_effect(effect, start, c))
     fit.evaluate(found)
     return found

@@ -18,7 +18,7 @@ from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
 from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, Logs, place_of
-from ..models.base import effect_in
+from ..models.base import Samples, effect_in
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what
 #: three parameters must pay for (`candidates.penalty`), the most that the size of an effect of the catalogue has.
@@ -146,9 +146,7 @@ def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     return found
 
 
-def _gain(
-    fit: Fit, changes: dict[int, np.ndarray], errors: dict[int, np.ndarray], projectors: dict[int, _Projector]
-) -> float:
+def _gain(fit: Fit, changes: Samples, errors: Samples, projectors: dict[int, _Projector]) -> float:
     """Fall of the deviance if the change came with the best factor from 0 to 1.5."""
     square = sum(float(change @ change) for change in changes.values())
     if square <= 1e-12:

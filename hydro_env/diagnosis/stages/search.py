@@ -55,7 +55,7 @@ class Search:
         """Whether the present estimate is one of the whole rig."""
         return any(p.channel is None for p in self.present.values())
 
-    def put(self, channel: int, estimate: Estimate) -> None:
+    def put(self, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
         self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
 

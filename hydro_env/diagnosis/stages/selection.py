@@ -117,9 +117,8 @@ def better_set(search: Search, other: Search) -> Search:
     if ahead < 0.0:
         best, rest = rest, best
     names = {(k.effect, k.channel) for k in rest.accepted}
-    best.accepted = [
-        k if (k.effect, k.channel) in names else replace(k, rival=abs(ahead)) for k in best.accepted
-    ]
+    own = ((k, (k.effect, k.channel) in names) for k in best.accepted)
+    best.accepted = [k if shared else replace(k, rival=abs(ahead)) for k, shared in own]
     best.candidates += [replace(k, outcome=OUTDONE) if k.accepted else k for k in rest.candidates]
     return best
 
@@ -236,7 +235,7 @@ def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     solve(fit, [less], CHEAP_ITERATIONS)
     better = less.cost < present.cost and fit.gain(present, less) > 0.0
     if better:
-        search.put(c, less)
+        search.put(less)
         if all(map(is_correction, present.effects())):  # the calibration itself had ended in a local minimum
             search.calibrated = {**search.calibrated, **dict.fromkeys(fit.channels_of(less), less)}
     return better
@@ -251,7 +250,7 @@ def _accept_best(
     if best.accepted:
         competing = search.competing(best.effect, alike)
         search.accepted.append(Accepted(best.effect, c, best.gain, best.needed, competing, before))
-        search.put(c, refits[0])
+        search.put(refits[0])
     return best.accepted or (best.outcome == VANISHED and _adopt_base(search, c, refits[0]))
 
 
@@ -287,7 +286,7 @@ def select_rig_effects(search: Search) -> None:
         search.accepted.append(Accepted(best.effect, None, best.gain, best.needed, without=before))
         left = drop_vanished(search, refits[0])
         solve(fit, [left] if left is not refits[0] else [], SETTLE_ITERATIONS)
-        search.put(None, left)
+        search.put(left)
 
 
 def drop_vanished(search: Search, estimate: Estimate) -> Estimate:
@@ -321,5 +320,5 @@ def prefer_form(search: Search) -> None:
             if alone and fit.gain(form.estimate, search.in_other_form(present)) >= one.needed:
                 break  # beside given effects it pays in another form, as these do
             search.drop(one, fit.gain(less, present), "another form of the others does better", present)
-            search.put(c, less)
+            search.put(less)
             solve(fit, [less], SETTLE_ITERATIONS)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..estimation.fit import noise_in
 from ..logs import Estimates, Logs
-from ..models.base import UNITS, RigModel
+from ..models.base import UNITS, RigModel, Samples
 from .form_correction import Models
 
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
@@ -25,7 +25,7 @@ class Proof:
 
     rig: RigModel
     errors: dict[tuple[int, str], dict[str, float]]
-    traces: dict[str, dict[int, np.ndarray]]
+    traces: dict[str, Samples]
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """The errors by `speed_1_rpm`."""
