@@ -72,15 +72,16 @@ class Search:
         behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
         return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
 
-    def judged(self, c: int | None, before: Estimate, refits: Sequence[Estimate], number: int) -> Candidate:
-        """Judges and remembers the refitted candidates of a channel (None: of the rig) beside `before`, the best one first, which
-        alone may be accepted; what became of that one."""
-        place = len(self.candidates)
-        for n, p in enumerate(refits):
-            gain = self.fit.gain(before, p)
-            outcome = judge(self.fit, p, p.label, gain, c)
-            self.record(p.label, c, number, gain, OUTDONE if n and outcome == ACCEPTED else outcome, p)
-        return self.candidates[place]
+    def judged(
+        self, c: int | None, before: Estimate, refit: Estimate, number: int, outdone: bool = False
+    ) -> Candidate:
+        """Judges a refitted candidate of a channel (None: of the rig) beside `before`, and remembers what became of it; one that
+        is `outdone` by a better one is not accepted."""
+        gain = self.fit.gain(before, refit)
+        outcome = judge(self.fit, refit, refit.label, gain, c)
+        outcome = OUTDONE if outdone and outcome == ACCEPTED else outcome
+        self.record(refit.label, c, number, gain, outcome, refit)
+        return self.candidates[-1]
 
     def drop(self, one: Accepted, gain: float, outcome: str, estimate: Estimate) -> None:
         """Takes away again what was accepted, after the forward rounds."""

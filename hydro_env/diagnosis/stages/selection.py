@@ -246,7 +246,8 @@ def _accept_best(
 ) -> bool:
     """Judges the refitted candidates of a channel, the best one first, and accepts that, if it passes; whether it does. `alike`
     are the gains by effect when all had been refitted alike."""
-    before, best = search.present[c], search.judged(c, search.present[c], refits, number)
+    before = search.present[c]
+    best, *_ = [search.judged(c, before, p, number, outdone=p is not refits[0]) for p in refits]
     if best.accepted:
         competing = search.competing(best.effect, alike)
         search.accepted.append(Accepted(best.effect, c, best.gain, best.needed, competing, before))
@@ -280,13 +281,15 @@ def select_rig_effects(search: Search) -> None:
         return
     short_refit(fit, tries)
     solve(fit, tries, SETTLE_ITERATIONS)
-    refits = _ranked(fit, tries)
-    best = search.judged(None, before, refits, 1)
+    first, *others = _ranked(fit, tries)
+    best = search.judged(None, before, first, 1)
     if best.accepted:
         search.accepted.append(Accepted(best.effect, None, best.gain, best.needed, without=before))
-        left = drop_vanished(search, refits[0])
-        solve(fit, [left] if left is not refits[0] else [], SETTLE_ITERATIONS)
+        left = drop_vanished(search, first)
+        solve(fit, [left] if left is not first else [], SETTLE_ITERATIONS)
         search.put(left)
+    for p in others:
+        search.judged(None, before, p, 1, outdone=True)
 
 
 def drop_vanished(search: Search, estimate: Estimate) -> Estimate:
