@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from ...diagnosis import diagnose
-from ...diagnosis.estimation import effective_samples
+from ...diagnosis.estimation.noise import effective_samples
 from ...files import write_json, write_text
 from ...plant import BUILT_IN, CATALOGUE
 from ...practice.recorder import log_text
