@@ -18,7 +18,7 @@ from hydro_env.ir.nodes import Assign, For, Run, Statement, Store, add, cast, co
 from hydro_env.ir.reader import Reader
 
 from .kernels import Handed, kernel_call
-from .symbols import Block, Expr, Items, Kernel, MaskedRows, below
+from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, below, each_once
 
 __all__ = ["Schedule"]
 
@@ -27,7 +27,6 @@ MAX_DEPTH = 5
 #: Neighbours in an array from which on they are moved in a loop, and numbers of a table from which on it is in single precision
 #: where that holds them exactly.
 MIN_LOOP, MIN_TABLE = 4, 64
-_DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
 _I, _J = var("i", "int"), var("j", "int")
 
 
@@ -126,8 +125,7 @@ class Schedule:
             if all(
                 x.op == "item" and x.args[0] is source and x.value == start + n for n, x in enumerate(row)
             ):
-                own = (source.call, source.place) if isinstance(source, Items) else source
-                return _Slice(self._arrays[own].array, first.kind, start)
+                return _Slice(self._arrays[source].array, first.kind, start)
         return None
 
     def _longest(self, run: list[Expr]) -> int:
@@ -159,7 +157,7 @@ class Schedule:
         return _Slice(name, kind, 0)
 
     def _table(self, numbers: Any, kind: str, name: str = "table") -> _Slice:
-        array: np.ndarray[Any, Any] = np.asarray(numbers, _DTYPES[kind])
+        array: np.ndarray[Any, Any] = np.asarray(numbers, DTYPES[kind])
         single = array.astype(np.float32)
         if kind == "double" and array.size >= MIN_TABLE and bool(np.all(single == array)):
             array = single
@@ -205,11 +203,10 @@ class Schedule:
         places: dict[int, _Slice] = {}
         for place in {each for each in how.handed if isinstance(each, int)} | {*how.written}:
             before = call.before[place]
-            found = self._slice_of(before)
             if place in how.written:
-                self._arrays[call, place] = places[place] = self._copied(before)
+                self._arrays[call.after[place]] = places[place] = self._copied(before)
             else:
-                places[place] = found or self._filled("a", before)
+                places[place] = self._slice_of(before) or self._filled("a", before)
         handed = [self._handed(each, places) for each in how.handed]
         self.body.append(Run(nodes.Expr("call", "int", tuple(handed), how.name)))
 
@@ -261,15 +258,7 @@ class Schedule:
 
 def _uses(roots: Iterable[Expr]) -> Counter[Any]:
     """How often each node is read."""
-    counts: Counter[Any] = Counter()
-    stack: list[Any] = list(roots)
-    counts.update(stack)
-    seen: set[Any] = set()
-    while stack:
-        node = stack.pop()
-        if node in seen:
-            continue
-        seen.add(node)
+    counts: Counter[Any] = Counter(roots)
+    for node in each_once(roots):
         counts.update(below(node))
-        stack += below(node)
     return counts
