@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agents.command import run_command
 from hydro_env.controllers.learned.policy import NumpyPolicy
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.close_loop_summary import SOURCES, collect, summary
 from hydro_env.experiments.closed_loop_reference import drive
