@@ -376,17 +376,13 @@ class Symbols(np.ndarray):
 
 def symbols(elements: Iterable[Expr], shape: tuple[int, ...]) -> Symbols:
     """An array of these expressions."""
-    array = np.empty(math.prod(shape), object)
-    for n, each in enumerate(elements):
-        array[n] = each
-    return array.reshape(shape).view(Symbols)
+    return np.fromiter(elements, object).reshape(shape).view(Symbols)
 
 
 def known(array: Any) -> Symbols:
     """A constant array as expressions."""
     array = np.asarray(array)
-    kind = kind_of(array.dtype)
-    return symbols((constant(x, kind) for x in array.reshape(-1)), array.shape)
+    return _wrapped(np.frompyfunc(partial(constant, kind=kind_of(array.dtype)), 1, 1)(array))
 
 
 def _wrapped(result: Any) -> Any:

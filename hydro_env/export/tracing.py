@@ -30,13 +30,11 @@ from .symbols import (
     Symbols,
     TraceError,
     cast,
-    constant,
     each_once,
     interned,
     item,
     known,
     leaf,
-    operate,
     symbols,
 )  # fmt: skip
 
@@ -88,19 +86,17 @@ class _Numpy:
 
     @staticmethod
     def asarray(value: Any, dtype: Any = None) -> Any:
+        if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
+            value = np.stack(value)  # type: ignore[arg-type]
         if isinstance(value, Symbols):
             return value if dtype is None else value.astype(dtype)
         return np.asarray(value, dtype)
 
     ascontiguousarray = asarray
 
-    @staticmethod
-    def array(value: Any, dtype: Any = None) -> Any:
-        if isinstance(value, Symbols):
-            return value.copy() if dtype is None else value.astype(dtype)
-        if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
-            return np.stack(value)  # type: ignore[arg-type]
-        return np.array(value, dtype)
+    @classmethod
+    def array(cls, value: Any, dtype: Any = None) -> Any:
+        return cls.asarray(value, dtype).copy()
 
     @staticmethod
     def arange(*bounds: Any) -> Any:
@@ -186,14 +182,10 @@ def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
     return arrays, plain
 
 
-def _observation(rig: Scales) -> Symbols:
+def _observation(rig: Scales) -> Any:
     """The scaled observation, as the environment of a rig of this size makes it of what is measured."""
-    made = []
-    for n, scale in enumerate(scales_on(rig).tolist()):
-        scaled = operate("div", [leaf("measured", n, "double"), constant(scale, "double")])
-        low, high = constant(-LIMIT, "double"), constant(LIMIT, "double")
-        made.append(cast(operate("min", [operate("max", [scaled, low]), high]), "float"))
-    return symbols(made, (1, len(made)))
+    measured = symbols((leaf("measured", n, "double") for n in range(len(MEASURED))), (1, len(MEASURED)))
+    return np.clip(measured / scales_on(rig), -LIMIT, LIMIT).astype(np.float32)
 
 
 def _sample(controller: Any, rig: Scales) -> Any:
@@ -201,10 +193,10 @@ def _sample(controller: Any, rig: Scales) -> Any:
     return inspect.unwrap(type(controller).act)(controller, _observation(rig))
 
 
-def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
-    plain = sent.elements() if isinstance(sent, Symbols) else known(sent).elements()
-    for channel in (0, 1):
-        given["command", channel] = cast(plain[channel], "double")
+def _commands(sent: Any) -> dict[tuple[str, int], Expr]:
+    """What is sent to both valves, in the place of the program's assignments."""
+    plain = (sent if isinstance(sent, Symbols) else known(sent)).elements()
+    return {("command", channel): cast(plain[channel], "double") for channel in (0, 1)}
 
 
 def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Program:
@@ -215,7 +207,7 @@ def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Pro
     with interned():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
-        _commands(_sample(controller, rig), program.first)
+        program.first = _commands(_sample(controller, rig))
         kept = _kept_by(controller)
         settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
@@ -224,8 +216,7 @@ def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Pro
         while True:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
-            program.next = {}
-            _commands(_sample(again, rig), program.next)
+            program.next = _commands(_sample(again, rig))
             after = _kept_by(again)
             more = {key for key, each in after.items() if key not in changing and each is not kept[key]}
             if not more:
