@@ -315,36 +315,42 @@ class Symbols(np.ndarray):
         return list(self.view(np.ndarray).reshape(-1))
 
     def __getitem__(self, index: Any) -> Any:
-        index, _ = _plain_index(index)
-        chosen = _gathered(self, index)
-        return chosen if chosen is not None else _wrapped(super().__getitem__(index))
+        """What is measured in an index makes a choice among all that it can be. A mask of one rig (`x[~planned]`) chooses that
+        rig: what is read there is only used where the mask holds."""
+        parts, axis, _ = _parts_of(index)
+        plain = self.view(np.ndarray)
+        if axis is None:
+            return _wrapped(plain[parts])
+        if axis == 0 and parts[0].kind == "bool":
+            return _wrapped(plain[(np.zeros(1, int), *parts[1:])])
+        result = None
+        for value in range(self.shape[axis]):
+            one = _wrapped(plain[_with(parts, axis, value)])
+            test = _extended(_blockwise("eq", [parts[axis], value]), one.ndim)
+            result = one if result is None else _blockwise("where", [test, one, result])
+        return result
 
     def __setitem__(self, index: Any, value: Any) -> None:
-        index, mask = _plain_index(index)
-        if isinstance(index, Symbols) and index.kind == "bool":  # a mask of measured truth
-            mask_array, index = index, Ellipsis
-            value = _blockwise("where", [_extended(mask_array, self.ndim), value, self])
-        parts = index if isinstance(index, tuple) else (index,)
-        measured = [n for n, each in enumerate(parts) if isinstance(each, Symbols)]
-        if measured:
-            self._put(parts, measured[0], value, mask)
+        parts, axis, mask = _parts_of(index)
+        if axis is not None and parts[axis].kind == "bool":  # a mask of measured truth
+            own = (...,) if len(parts) == 1 else (np.zeros(1, int), *parts[1:])
+            old = self[own]
+            self[own] = _blockwise("where", [_extended(parts[axis], old.ndim), value, old])
+            return
+        if axis is not None:  # each element whose place is measured, where the place is its own
+            (place,) = parts[axis].elements()
+            for n in range(self.shape[axis]):
+                here = operate("eq", [place, constant(n, "int")])
+                both = symbols([here if mask is None else operate("and", [here, mask])], ())
+                own = _with(parts, axis, n)
+                self[own] = _blockwise("where", [both, value, self[own]])
             return
         now, kind = self.view(np.ndarray), self.kind
 
         def put(new: Expr, old: Expr) -> Expr:
             return cast(new, kind) if mask is None else operate("where", [mask, cast(new, kind), old])
 
-        now[index] = np.frompyfunc(put, 2, 1)(_objects(value), now[index])
-
-    def _put(self, parts: tuple[Any, ...], axis: int, value: Any, mask: Expr | None) -> None:
-        """Sets elements whose place is measured: each one where the place is its own."""
-        (place,) = parts[axis].elements()
-        for n in range(self.shape[axis]):
-            here = operate("eq", [place, constant(n, "int")])
-            both = here if mask is None else operate("and", [here, mask])
-            index = (*parts[:axis], np.full(parts[axis].shape, n), *parts[axis + 1 :])
-            old = _wrapped(self.view(np.ndarray)[index])
-            self[index] = _blockwise("where", [symbols([both], ()), value, old])
+        now[parts] = np.frompyfunc(put, 2, 1)(_objects(value), now[parts])
 
     def astype(self, dtype: Any, *args: Any, **more: Any) -> Symbols:  # type: ignore[override]
         return _wrapped(_cast(_objects(self), kind_of(dtype)))
@@ -425,34 +431,17 @@ def _each(op: str, count: int = 2) -> Any:
     return np.frompyfunc(lambda *row: operate(op, row), count, 1, identity=None)
 
 
-def _plain_index(index: Any) -> tuple[Any, Expr | None]:
-    """An index without masks of rows, and the mask."""
-    if isinstance(index, MaskedRows):
-        return np.zeros(1, int), index.mask
-    if isinstance(index, tuple) and any(isinstance(each, MaskedRows) for each in index):
-        mask = next(each.mask for each in index if isinstance(each, MaskedRows))
-        return tuple(np.zeros(1, int) if isinstance(each, MaskedRows) else each for each in index), mask
-    return index, None
+def _parts_of(index: Any) -> tuple[tuple[Any, ...], int | None, Expr | None]:
+    """The parts of an index without masks of rows, the place of the one that is measured, and the mask."""
+    given = index if isinstance(index, tuple) else (index,)
+    mask = next((each.mask for each in given if isinstance(each, MaskedRows)), None)
+    parts = tuple(np.zeros(1, int) if isinstance(each, MaskedRows) else each for each in given)
+    return parts, next((n for n, each in enumerate(parts) if isinstance(each, Symbols)), None), mask
 
 
-def _gathered(array: Symbols, index: Any) -> Any:
-    """array[index] where a part of the index is measured: a choice among all that it can be. None for plain indices.
-
-    A mask of one rig (`x[~planned]`) chooses that rig: what is read there is only used where the mask holds."""
-    parts = index if isinstance(index, tuple) else (index,)
-    if not any(isinstance(each, Symbols) for each in parts):
-        return None
-    first = parts[0]
-    if isinstance(first, Symbols) and first.kind == "bool":
-        return _wrapped(array.view(np.ndarray)[(np.zeros(1, int), *parts[1:])])
-    axis, measured = next((n, each) for n, each in enumerate(parts) if isinstance(each, Symbols))
-    result = None
-    for value in range(array.shape[axis]):
-        here = tuple(np.full(measured.shape, value) if n == axis else each for n, each in enumerate(parts))
-        one = _wrapped(array.view(np.ndarray)[here])
-        test = _extended(_blockwise("eq", [measured, value]), one.ndim)
-        result = one if result is None else _blockwise("where", [test, one, result])
-    return result
+def _with(parts: tuple[Any, ...], axis: int, value: int) -> tuple[Any, ...]:
+    """An index with a known number in the place of the measured one."""
+    return (*parts[:axis], np.full(parts[axis].shape, value), *parts[axis + 1 :])
 
 
 def _extended(mask: Symbols, ndim: int) -> Symbols:
