@@ -324,6 +324,35 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert np.array_equal(episode(act, "setpoint_steps", "paper_dead_zone", "train"), expected)
 
 
+MASKING_LAW = """\
+import numpy as np
+from hydro_env.controllers.base import Controller
+
+class Masking(Controller):
+    def start(self, measured):
+        self.total = np.zeros_like(measured.speed)
+
+    def command(self, measured):
+        error = (measured.setpoint[:, None] - measured.speed) / 60.0
+        far = np.abs(error).max(axis=1) > 0.3
+        self.total[far] += 0.01 * error[far]
+        self.total[far, 0] = 0.1 * error[far, 1]
+        return self.total
+"""
+
+
+@needs_compiler
+def test_a_mask_of_rigs_alone_and_beside_another_index(tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text(MASKING_LAW)
+    spec = f"{tmp_path / 'law.py'}:Masking"
+    export_controller("c", spec, tmp_path, PERIOD)
+    controller = make_controller(spec)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    got = episode(InC(tmp_path, "Masking", "-O2"), "setpoint_steps", "paper_dead_zone", "train")
+    assert np.abs(expected).max() > 0.1 and np.array_equal(got, expected)
+
+
 @needs_compiler
 def test_gains_are_exported_for_the_rig_that_they_were_tuned_on(tmp_path: Path) -> None:
     """Its rated command and the scales of its observations are those that are built in."""
