@@ -25,10 +25,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents import ppo_single
 from agents.cloning import clone
+from agents.command import run_command
 from agents.line_to_beat import ladder, report
 from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
 from hydro_env.controllers.learned.sb3_policy import Sb3Policy
-from hydro_env.errors import run_command
 from hydro_env.limits import Limits
 from hydro_env.training.config import POLICY, read_config, with_changes
 from hydro_env.training.recipes import recipe
