@@ -85,9 +85,8 @@ def _put(into: Any, rigs: NDArray[np.int64], part: Any) -> None:
     """Puts what `part` keeps of some rigs, fewer than all, in their place: the axis of rigs of an array is the one whose lengths
     differ."""
     if isinstance(into, np.ndarray):
-        differ = np.flatnonzero(np.not_equal(into.shape, part.shape))
-        for axis in differ:
-            into[(*[slice(None)] * axis, rigs)] = part
+        for axis in np.flatnonzero(np.not_equal(into.shape, part.shape)).tolist():
+            into.swapaxes(0, axis)[rigs] = part.swapaxes(0, axis)
     elif isinstance(into, list | tuple):
         for own, other in zip(into, part, strict=True):
             _put(own, rigs, other)

@@ -84,7 +84,7 @@ def _place(entry: dict[str, Any]) -> tuple[str, str, str]:
 
 def _texts(scores: dict[str, Any]) -> dict[tuple[str, ...], str]:
     """What stands in the table, by split, scenario, controller and column."""
-    texts = {(*_place(row), row["metric"]): _cell(row) for row in scores["rows"]}
+    texts: dict[tuple[str, ...], str] = {(*_place(row), row["metric"]): _cell(row) for row in scores["rows"]}
     for entry in scores["improvement"]:
         if entry["metric"] == TRACE_METRIC:
             texts[*_place(entry), BETTER] = f"{entry['probability']:.0%}"

@@ -197,7 +197,7 @@ def _with_arguments(algorithm: str) -> type[_Environment]:
 
 # --- files ------------------------------------------------------------------------------------------------------------
 class _File(FileTable):
-    environment: dict[str, Any] = Field(alias=ENV_ID)
+    environment: dict[str, Any] = Field(alias="HydraulicSync-v0")
     training: Training
 
 

@@ -76,7 +76,7 @@ class Oracle(Controller):
         speed, travel = self.rig.speed, self.rig.travel
         sizes = {"difference": 1.0, "smooth": speed**2, "stops": (speed / travel) ** 2}
         weights = [size * np.ravel(self.gains[gain]) for gain, size in sizes.items()]
-        self._weights = [np.broadcast_to(each, (n,)).copy() for each in (*weights, speed * CORNER)]
+        self._weights = [np.broadcast_to(each, (n,)).copy() for each in (*weights, np.array(speed * CORNER))]
         self._plan = np.zeros((n, HORIZON, 2))
         self._sent = np.zeros((n, 2))
         self._row = 0
