@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
     "hydro_env": 33_000,
-    "hydro_env/diagnosis": 4_915,
+    "hydro_env/diagnosis": 4_890,
     "hydro_env/export": 2_300,
     "hydro_env/experiments": 2_300,
 }
