@@ -31,6 +31,7 @@ NEEDS_EXTRA = (
     "hydro_env.training.",
     "hydro_env.lab.elements",
     "hydro_env.lab.guard",
+    "hydro_env.lab.live_page",
     "hydro_env.lab.page",
     "hydro_env.lab.diagnosis_page",
     "hydro_env.lab.server",

@@ -67,6 +67,8 @@ class ProbingFlow(Controller):
         if self.law is None:
             self.law = self._begun(measured)
         else:
+            if self.allowed != Controller.allowed:  # what was sent is not what the law asked for
+                self.law.sent = measured.command
             self.law.update(measured)
         return self.law.command()
 
