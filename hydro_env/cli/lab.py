@@ -35,4 +35,6 @@ def lab(
 
     load_effects(effect_files or [])
     split = default_mismatch(plant, "test_interp")
-    server.run(out, Settings(preset=plant, split=split, controller=controller), live=live, port=port, browser=browser)
+    server.run(
+        out, Settings(preset=plant, split=split, controller=controller), live=live, port=port, browser=browser
+    )

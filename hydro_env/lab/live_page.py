@@ -44,7 +44,7 @@ class LivePage:
     def page(self) -> None:
         """Builds the page for a browser."""
         view = _View(self._folder)
-        with ui.element("main").classes("lab"), ui.element("div"):
+        with ui.element("main").classes("lab"), ui.element("div").style("grid-column: 1 / -1"):
             with section("Live rig"):
                 view.state = ui.label().classes("lab-big").props('role=status aria-live="polite"')
                 view.fault = ui.label().classes("lab-bad").props("role=alert")
@@ -83,7 +83,9 @@ class _View:
         rows = self._log.rows
         if len(rows):
             newest = zip(contract_columns(), rows[-1], strict=True)
-            self.numbers.text = ", ".join(f"{name} {value:g}" for name, value in newest if not np.isnan(value))
+            self.numbers.text = ", ".join(
+                f"{name} {value:.4g}" for name, value in newest if not np.isnan(value)
+            )
             self.plots.draw(_past(rows))
 
 

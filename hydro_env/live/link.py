@@ -92,6 +92,11 @@ class Input(FileTable):
         return float(from_si(value, self.unit))
 
     @property
+    def said(self) -> str:
+        """The range in words."""
+        return "{:g} to {:g}".format(*self.range) if self.range else "any"
+
+    @property
     def ends(self) -> tuple[float, float]:
         """The range in SI."""
         low, high = self.range or (-math.inf, math.inf)

@@ -129,7 +129,7 @@ class Supervisor:
                 self.fail(now, f"{key} ({source.name!r}) is absent or not finite")
             elif not low <= value <= high:
                 found = with_unit(source.in_unit(value), source.unit)
-                self.fail(now, f"{key} is {found}, its range is {list(source.range or ())}")
+                self.fail(now, f"{key} is {found}, its range is {source.said}")
             last, since = self._repeated.get(key, (math.nan, now))
             if value != last or not self._driven(key):
                 since = now

@@ -8,19 +8,21 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from hydro_env.errors import InputError
 from hydro_env.files import to_json
 from hydro_env.live.link import Link, host_and_port
 from hydro_env.reading import parse_json
 
+T = TypeVar("T")
+
 __all__ = ["Transport", "transport_of"]
 
 #: Samples that may wait; older ones are dropped.
-WAITING = 16
+WAITING = 4
 #: Share of a cycle in which a new sample is looked for.
 LOOK = 0.2
 
@@ -102,11 +104,12 @@ class OpcUa:
         self._client: Any = None
         self._make = lambda: asyncua.Client(link.address, timeout=max(1.0, link.watchdog_s))
         self._next, self._count = 0.0, None
+        self._reading: asyncio.Task[Mapping[str, Any]] | None = None
 
     async def open(self, patience: float) -> None:
         self._client = self._make()
         with _connection():
-            await asyncio.wait_for(self._client.connect(), patience)
+            await _within(self._client.connect(), patience)
             link, ua = self._link, self._ua
             outputs = [*(each.name for each in link.commands), *filter(None, [link.heartbeat])]
             nodes = {}
@@ -122,10 +125,13 @@ class OpcUa:
             }
 
     async def receive(self, timeout: float) -> Mapping[str, Any] | None:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(timeout):
-                return await self._new()
-        return None
+        if self._reading is None:
+            self._reading = _begun(self._new())
+        await asyncio.wait({self._reading}, timeout=timeout)
+        if not self._reading.done():
+            return None  # goes on
+        done, self._reading = self._reading, None
+        return done.result()
 
     async def _new(self) -> Mapping[str, Any]:
         """Reads in step with the server: a little before the next sample is due, and then until its count has risen."""
@@ -155,12 +161,29 @@ class OpcUa:
             values.append(ua.DataValue(ua.Variant(round(number) if whole else float(number), kind)))
         nodes = [self._outputs[name][0] for name in numbers]
         with _connection():
-            await asyncio.wait_for(self._client.write_values(nodes, values), timeout)
+            await _within(self._client.write_values(nodes, values), timeout)
 
     async def close(self) -> None:
+        self._reading = None
         if self._client is not None:
             with suppress(Exception):
-                await asyncio.wait_for(self._client.disconnect(), 1.0)
+                await _within(self._client.disconnect(), 1.0)
+
+
+def _begun(work: Coroutine[Any, Any, T]) -> asyncio.Task[T]:
+    """A task whose failure may stay unseen."""
+    task = asyncio.create_task(work)
+    task.add_done_callback(lambda done: done.cancelled() or done.exception())
+    return task
+
+
+async def _within(work: Coroutine[Any, Any, T], timeout: float) -> T:
+    """The result of work, or a TimeoutError. Work that is late is left alone: asyncua's requests are not safe to cancel."""
+    task = _begun(work)
+    await asyncio.wait({task}, timeout=timeout)
+    if not task.done():
+        raise TimeoutError(f"no answer within {timeout:g} s")
+    return task.result()
 
 
 class _connection:

@@ -198,7 +198,8 @@ class OpcUaRig(Rig):
                 await server.write_attribute_value(
                     nodes[name][0].nodeid, ua.DataValue(ua.Variant(value, nodes[name][1]))
                 )
-            self.take({name: await nodes[name][0].read_value() for name in ("u1", "u2", "alive")})
+            # The heartbeat first: it is written last.
+            self.take({name: await nodes[name][0].read_value() for name in ("alive", "u1", "u2")})
             tick = max(tick + self.cycle, time.monotonic() - self.cycle)
             await asyncio.sleep(max(0.0, tick - time.monotonic()))
             self.advance()

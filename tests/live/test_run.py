@@ -81,6 +81,8 @@ class Attempt:
         self.run.stop.set()
         self._thread.join(20.0)
         assert not self._thread.is_alive()
+        if self.problem is not None:
+            raise self.problem
         return self.run.supervisor.cause
 
 
@@ -92,7 +94,7 @@ def test_a_controller_follows_the_set_point_and_leaves_a_clean_log(rig: Rig, tmp
     driver = controlled(GENTLE, link, load_model("paper_dead_zone"), str(scenario), (limit, link.rate_limit))
     attempt = Attempt(link, driver, tmp_path / "out", limit=limit)
     attempt.until(lambda: False, 30.0)
-    assert attempt.end() == "" and attempt.problem is None
+    assert attempt.end() == ""
     assert attempt.run.supervisor.state is State.STOPPED
     assert rig.applied[-1][1:] == (0.0, 0.0) or rig.closed_after(time.monotonic()) == 0.0
     log = read_log(tmp_path / "out" / "log_1.csv")
@@ -124,16 +126,14 @@ FAULTS: dict[str, tuple[Callable[[Rig], Any], str]] = {
     "lost": (lambda rig: lambda numbers: None, "no new sample"),
     "late": (lambda rig: late(round(1.0 / rig.cycle)), "no new sample"),
     "old": (lambda rig: lambda numbers: numbers | {"n": numbers["n"] - 1000}, "old or late"),
-    "implausible": (lambda rig: numbers_of(n2=1500.0), "speed_2 is 1500 rpm, its range is [-900.0, 900.0]"),
+    "implausible": (lambda rig: numbers_of(n2=1500.0), "speed_2 is 1500 rpm, its range is -900 to 900"),
     "not a number": (lambda rig: numbers_of(p1=float("nan")), ""),
     "frozen": (frozen, "speed_1 is frozen"),
 }
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_closes_the_valves_in_time_and_stays(
-    rig: Rig, tmp_path: Path, name: str, record_property: Any
-) -> None:
+def test_a_fault_closes_the_valves_in_time_and_stays(rig: Rig, tmp_path: Path, name: str) -> None:
     disturb, said = FAULTS[name]
     link = rig.link()
     attempt = Attempt(link, constant(), tmp_path)
@@ -144,13 +144,16 @@ def test_a_fault_closes_the_valves_in_time_and_stays(
     opened = len(rig.applied)
     attempt.until(lambda: len(rig.applied) > opened + 8)
     cause = attempt.end()
-    assert said in cause and attempt.problem is None
+    assert said in cause
     took = rig.closed_after(broken)
-    print(f"{type(rig).__name__} {name}: closed after {took:.3f} s, stated {link.stop_s:.3f} s")
     assert took <= link.stop_s + (link.frozen_after("speed_1") if name == "frozen" else 0.0) + BUSY
     events = (tmp_path / "log_1.jsonl").read_text().splitlines()
     assert json.loads(events[-1])["state"] == "fault" and json.loads(events[-1])["cause"] == cause
     assert read_log(tmp_path / "log_1.csv").command_V[-1].tolist() == [0.0, 0.0]
+
+
+#: The network makes no difference to these.
+over_udp = pytest.mark.parametrize("started", ["udp"], indirect=True)
 
 
 def failing(n: int) -> Any:
@@ -163,6 +166,7 @@ def hanging(n: int) -> Any:
     return np.full(2, 0.15)
 
 
+@over_udp
 @pytest.mark.parametrize(
     ("act", "said"),
     [
@@ -191,6 +195,7 @@ def test_a_controller_that_fails_closes_the_valves(rig: Rig, tmp_path: Path, act
     assert rig.closed_after(moments[0]) <= link.stop_s + BUSY
 
 
+@over_udp
 def test_a_full_disk_closes_the_valves(rig: Rig, tmp_path: Path) -> None:
     attempt = Attempt(rig.link(), constant(), tmp_path)
     attempt.driving(rig)
@@ -207,10 +212,10 @@ def test_a_full_disk_closes_the_valves(rig: Rig, tmp_path: Path) -> None:
     assert rig.closed_after(broken) <= rig.link().stop_s + BUSY
 
 
+@pytest.mark.parametrize("started", ["opcua"], indirect=True)
 def test_a_server_that_dies_is_a_fault_and_gets_zero_when_it_is_back(rig: Rig, tmp_path: Path) -> None:
     """What is written cannot arrive meanwhile: there the heartbeat closes the valves."""
-    if not isinstance(rig, OpcUaRig):
-        pytest.skip("a datagram has no server")
+    assert isinstance(rig, OpcUaRig)
     attempt = Attempt(rig.link(), constant(), tmp_path)
     attempt.driving(rig)
     broken, rig.alive = time.monotonic(), False
@@ -226,17 +231,18 @@ def test_a_server_that_dies_is_a_fault_and_gets_zero_when_it_is_back(rig: Rig, t
     assert attempt.end()
 
 
+@over_udp
 def test_an_experiment_is_played_within_the_limits(rig: Rig, tmp_path: Path) -> None:
     table = tmp_path / "next_experiment.csv"
-    rows = [
-        f"{0.1 * n:.1f},{RATED_V[0] * share:.4f},0"
-        for n, share in enumerate([0.0, 0.0, 0.1, 0.1, 0.5, 0.5, -0.1, -0.1, 0.0, 0.0])
-    ]
+    shares = [0.0, 0.0, 0.1, 0.1, 0.5, 0.5, -0.1, -0.1, 0.0, 0.0]
+    rows = [f"{0.1 * n:.1f},{RATED_V[0] * share:.4f},0" for n, share in enumerate(shares)]
     table.write_text("\n".join(["time_s,command_1_V,command_2_V", *rows]) + "\n")
     link = rig.link()
     attempt = Attempt(link, played(table, link, load_model("paper_dead_zone")), tmp_path)
     attempt.until(lambda: False, 20.0)
     assert attempt.end() == ""
-    shares = read_log(tmp_path / "log_1.csv").command_V / np.array(RATED_V)
-    assert {*np.round(shares[:, 0], 3)} >= {0.0, 0.1, 0.2, -0.1} and np.abs(shares).max() <= 0.2 + 1e-6
-    assert not shares[:, 1].any()
+    played_shares = read_log(tmp_path / "log_1.csv").command_V / np.array(RATED_V)
+    assert {*np.round(played_shares[:, 0], 3)} >= {0.0, 0.1, 0.2, -0.1} and np.abs(
+        played_shares
+    ).max() <= 0.2 + 1e-6
+    assert not played_shares[:, 1].any()
