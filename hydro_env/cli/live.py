@@ -47,8 +47,8 @@ def live(
 ) -> None:  # fmt: skip
     """Drive a real rig over OPC UA or UDP (needs the extra `live`).
 
-    No safety function. Ctrl-C, every fault and the end of the run write zero commands. After a fault zero is written until Ctrl-C,
-    and the exit status is 3. Writes log_1.csv, a rig log, and log_1.jsonl, what else happened.
+    No safety function. Ctrl-C, every fault and the end of the run write zero commands. After a fault zero is written until
+    Ctrl-C, and the exit status is 3. Writes log_1.csv, a rig log, and log_1.jsonl, what else happened.
     """
     if (controller is None) == (experiment is None):
         raise InputError("name a controller, or an --experiment to play; one of them")

@@ -55,7 +55,7 @@ class Sample(NamedTuple):
     """What a rig showed at one instant: its counter and clock (s), None where it has none, and the signals in SI by "speed_1",
     ..., "setpoint"; NaN for what is absent."""
 
-    count: float | None
+    number: float | None
     time: float | None
     values: Mapping[str, float]
 

@@ -10,6 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
@@ -189,33 +190,23 @@ class _Worker:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._calls: SimpleQueue[tuple[asyncio.AbstractEventLoop, asyncio.Future[Any], tuple[Any, ...]]] = (
-            SimpleQueue()
-        )
+        self._calls: SimpleQueue[tuple[Future[Any], tuple[Any, ...]]] = SimpleQueue()
         threading.Thread(target=self._work, name="driver", daemon=True).start()
 
     def ask(self, *arguments: Any) -> asyncio.Future[Any]:
         """What the function returns, or raises."""
-        loop = asyncio.get_running_loop()
-        future = loop.create_future()
-        self._calls.put((loop, future, arguments))
-        return future
+        answer: Future[Any] = Future()
+        self._calls.put((answer, arguments))
+        return asyncio.wrap_future(answer)
 
     def _work(self) -> None:
         while True:
-            loop, future, arguments = self._calls.get()
+            answer, arguments = self._calls.get()
+            if not answer.set_running_or_notify_cancel():
+                continue
             try:
-                found, problem = self._function(*arguments), None
-            except BaseException as error:  # a controller of the user's may raise anything
-                found, problem = None, error if isinstance(error, Exception) else RuntimeError(repr(error))
-            with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(_answer, future, found, problem)
-
-
-def _answer(future: asyncio.Future[Any], found: Any, problem: Exception | None) -> None:
-    if future.done():
-        return
-    if problem is None:
-        future.set_result(found)
-    else:
-        future.set_exception(problem)
+                answer.set_result(self._function(*arguments))
+            except BaseException as problem:  # a controller of the user's may raise anything
+                answer.set_exception(
+                    problem if isinstance(problem, Exception) else RuntimeError(repr(problem))
+                )

@@ -98,12 +98,12 @@ class Supervisor:
 
     def _new(self, now: float, sample: Sample) -> bool:
         """Whether a sample is neither an old one nor one that was long under way."""
-        if sample.count is not None:
-            if not math.isfinite(sample.count):
+        if sample.number is not None:
+            if not math.isfinite(sample.number):
                 self.fail(now, f"{self.link.count!r} is no number")
-            elif self._count is not None and sample.count <= self._count:
+            elif self._count is not None and sample.number <= self._count:
                 return False
-            self._count = sample.count
+            self._count = sample.number
         if sample.time is None:
             return True
         if not math.isfinite(sample.time):

@@ -20,7 +20,8 @@ from tests.live.test_supervisor import link as described
 GOOD: dict[str, Any] = {
     "schema": "hydro_env/link/1", "protocol": "udp", "address": "192.168.0.10:5005", "listen": "0.0.0.0:5006",
     "cycle_s": 0.01, "watchdog_s": 0.1, "count": "n",
-    "channel_1": {"command": {"name": "u1", "rated": 10, "sign": -1}, "speed": {"name": "n1", "unit": "rpm", "range": [-900, 900]}},
+    "channel_1": {"command": {"name": "u1", "rated": 10, "sign": -1},
+                  "speed": {"name": "n1", "unit": "rpm", "range": [-900, 900]}},
     "channel_2": {"command": {"name": "u2", "rated": 100}, "speed": {"name": "n2", "unit": "Hz", "sign": -1, "range": [-15, 15]}},
 }  # fmt: skip
 
@@ -30,7 +31,7 @@ def test_units_and_signs_are_those_of_the_file(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(GOOD | {"time": {"name": "t", "unit": "ms"}}))
     link = load_link(path)
     sample = link.sample({"n": 5, "t": 250, "n1": 60, "n2": -1.0})
-    assert sample.count == 5 and sample.time == 0.25
+    assert sample.number == 5 and sample.time == 0.25
     assert sample.values == pytest.approx({"speed_1": 2 * math.pi, "speed_2": 2 * math.pi})
     assert link.outputs((0.5, 0.5), 1) == {"u1": -5.0, "u2": 50.0}
     assert math.isnan(link.sample({"n1": True}).values["speed_1"]) and math.isnan(
