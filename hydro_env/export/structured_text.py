@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from hydro_env import __version__
 from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
@@ -34,8 +35,10 @@ _CALLED = {
 _UNITS = ("rad/s", "rad/s", "rad/s", "A", "A", "Pa", "Pa", "1", "1")
 
 
-def structured_text(program: Program, version: str, about: str) -> str:
-    """The function block of a program. TraceError for a controller that calls compiled functions."""
+def structured_text(program: Program, about: str) -> dict[str, str]:
+    """The text of NAME.st for a program, by file. `about`: a sentence on the controller. TraceError for a controller that calls
+    compiled functions."""
+    name = identifier(program.name)
     reader, bodies = Reader(), []
     variables = {"i": ("int", 0), "measured": ("double", len(MEASURED))}
     for part, assignments in (("a", program.first), ("b", program.next)):
@@ -48,12 +51,13 @@ def structured_text(program: Program, version: str, about: str) -> str:
     state = "".join(f"    s_{each.name} : {_type(each.kind, each.size)};\n" for each in program.state)
     gathered = "".join(f"given[{n}] := {each};\n" for n, each in enumerate(MEASURED))
     samples, last = held_samples(program.period), len(MEASURED) - 1
-    return template("controller.st").substitute(
-        name=identifier(program.name), period=repr(program.period), about=about, version=version, inputs=inputs, state=state,
+    text = template("controller.st").substitute(
+        name=name, period=repr(program.period), about=about, version=__version__, inputs=inputs, state=state,
         variables="".join(f"    {name} : {_type(*each)};\n" for name, each in variables.items()),
         constants="".join(map(_table, reader.tables.values())), gathered=gathered, hold=HOLD, samples=samples, last=last,
         most=_literal(MAX_VALUE, "double").partition("#")[2], first=bodies[0], next=bodies[1],
     )  # fmt: skip
+    return {f"{name}.st": text}
 
 
 def _type(kind: str, size: int) -> str:

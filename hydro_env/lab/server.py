@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import secrets
 import signal
 import socket
@@ -46,8 +47,8 @@ class Lab:
         self.uploads, self.jobs = Uploads(), Jobs(out)
         session = session or Session()
         self.worker = Worker(session, self._keep_log)
-        if Path(session.settings.preset).suffix in YAML_ENDINGS:
-            path = Path(session.settings.preset)
+        path = Path(session.settings.preset)
+        if path.suffix in YAML_ENDINGS:
             self.uploads.add(path, path.name, "model")
 
     def _keep_log(self, text: str) -> None:
@@ -77,9 +78,7 @@ class Lab:
     async def _result(self, request: Request) -> Response:
         folder, file = request.path_params["folder"], request.path_params["file"]
         path = self.out / folder / file
-        if not (
-            folder.startswith("diagnosis_") and folder[10:].isdecimal() and file in RESULTS and path.is_file()
-        ):
+        if not (re.fullmatch(r"diagnosis_\d+", folder) and file in RESULTS and path.is_file()):
             return PlainTextResponse("there is no such result", 404)
         # A report has scripts of its own; none of them may drive the lab.
         return FileResponse(path, headers={"content-security-policy": "sandbox allow-scripts"})
@@ -149,9 +148,8 @@ def run(
         try:
             listener.bind((HOST, port))
         except OSError as problem:
-            raise InputError(
-                f"--port {port}: cannot be used ({problem.strerror}); name another one"
-            ) from None
+            told = f"cannot be used ({problem.strerror}); name another one"
+            raise InputError(f"--port {port}: {told}") from None
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
 
