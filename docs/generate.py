@@ -48,6 +48,7 @@ from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
 from hydro_env.experiments.naming_benchmark import scoring
+from hydro_env.live import link
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
@@ -923,6 +924,7 @@ PARTS: dict[str, Callable[[], str]] = {
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)
+PARTS["link_file"] = lambda: _docstring(link)
 PARTS["blind_trials_help"] = lambda: _docstring(_evidence("blind_trials"))
 PARTS["model_file"] = lambda: _docstring(model_files)
 PARTS["data_sheet"] = lambda: f"{_docstring(sheet)}\n\n```yaml\n{sheet.template()}```"

@@ -16,6 +16,7 @@ from hydro_env.cli.export import export
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.lab import lab
 from hydro_env.cli.listing import list_names
+from hydro_env.cli.live import live
 from hydro_env.cli.naming_benchmark import naming_benchmark
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
@@ -50,7 +51,7 @@ def _options(
 
 
 for _command in (
-    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop,
+    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, live, close_loop,
 ):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")

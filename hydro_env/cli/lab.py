@@ -19,6 +19,9 @@ def lab(
     ] = "pid_tuned",
     port: Annotated[int, number("Port on this machine; 0: any that is free.", Limits(0, 65535, whole=True))] = 8137,
     browser: Annotated[bool, Option("--browser/--no-browser", help="Whether to open the page.")] = True,
+    live: Annotated[
+        Path | None, Option(metavar="DIR", help="Only show a run of `hydro-env live`: the newest log in its --out.")
+    ] = None,
     effect_files: EffectFiles = None,
 ) -> None:  # fmt: skip
     """Run a rig on a page of this machine.
@@ -32,4 +35,6 @@ def lab(
 
     load_effects(effect_files or [])
     split = default_mismatch(plant, "test_interp")
-    server.run(out, Settings(preset=plant, split=split, controller=controller), port=port, browser=browser)
+    server.run(
+        out, Settings(preset=plant, split=split, controller=controller), live=live, port=port, browser=browser
+    )

@@ -31,6 +31,7 @@ EXTRAS = {
     "fmu": "fmpy",
     "naming": "pysindy",
     "lab": "nicegui fastapi uvicorn",
+    "live": "asyncua",
 }
 """Which optional libraries an extra of the package holds."""
 

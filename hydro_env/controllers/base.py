@@ -103,6 +103,8 @@ class Controller:
     needs: str = "measurements"
     plant: str | None = None
     similar: bool = False
+    allowed: tuple[float, float] = (1.0, inf)
+    """Largest command, and largest change of it in a second, that the owner of a rig allows, as shares of the rated one."""
     limits: tuple[Floats, Floats]
     """Least and largest command of this sample, each (num_rigs, 2), while `command` works."""
     asked: Floats
@@ -196,8 +198,11 @@ class Controller:
             self.take_in(measured)
         per_volt = FRACTION_PER_V / (1.0 if self.similar else self.rig.command)
         most = self.gains.get("slew", inf) * per_volt * self.period
+        largest, rate = self.allowed
+        if rate < inf:
+            most = np.minimum(most, rate * self.period)
         last = self.__shaper.past[-1]
-        self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
+        self.limits = np.maximum(last - most, -largest), np.minimum(last + most, largest)
         self.asked = self.command(measured)
         low, high = self.limits
         # `np.clip` does the same in three times the time.

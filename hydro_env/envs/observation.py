@@ -21,7 +21,8 @@ from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
 __all__ = [
-    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "Noise", "decode", "noise_levels", "scales_on", "with_errors",
+    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "Noise", "decode", "encode", "noise_levels", "scales_on",
+    "with_errors",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -97,6 +98,13 @@ def decode(observation: NDArray[np.floating], rig: Scales = PAPER) -> Measuremen
         )
     frame = array[:, -FRAME:] * scales_on(rig)
     return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
+
+
+def encode(measured: Measurements, rig: Scales = PAPER) -> NDArray[np.float32]:
+    """The frames (N, FRAME) of measurements on a rig of this size: the opposite of `decode`."""
+    m = measured
+    frame = np.column_stack([m.setpoint, m.speed, m.current, m.pressure, m.command]) / scales_on(rig)
+    return np.clip(frame, -LIMIT, LIMIT).astype(np.float32)
 
 
 def with_errors(observation: NDArray[np.floating[Any]]) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ jobs       a diagnosis in a process of its own, with progress and cancel
 uploads    files that the page was given
 guard      who may talk to the page: this machine, and no other site's scripts
 page       the page; `elements` are its parts, `diagnosis_page` is that of logs
+live_page  the page of a run of `hydro-env live`, whose log it follows
 server     the web server
 
 `rig`, `adjust`, `session`, `recording`, `worker`, `jobs` and `uploads` work without the extra `lab`.

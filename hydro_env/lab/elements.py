@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 from nicegui.element import Element
+from numpy.typing import NDArray
 
 from hydro_env.lab.session import COLUMNS, SHOWN
 from hydro_env.lab.uploads import MAX_BYTES, YAML_ENDINGS
@@ -112,10 +114,14 @@ class Plots(ui.echart):
     def show(self, seen: Seen) -> None:
         """Draws the past of a snapshot."""
         past = seen.session.past
+        self.draw(past[(len(past) - 1) % EVERY :: EVERY])
+
+    def draw(self, past: NDArray[np.float64]) -> None:
+        """Draws rows (n, len(COLUMNS))."""
         if len(past) == 0:
             self.run_chart_method("setOption", {"dataset": {"source": []}})
             return
-        rows = past[(len(past) - 1) % EVERY :: EVERY].round(2)
+        rows = past.round(2)
         end = float(rows[-1, 0])
         span = {"min": round(end - SHOWN * 0.01, 2), "max": end}
         self.run_chart_method("setOption", {"dataset": {"source": rows.tolist()}, "xAxis": [span] * 3})

@@ -25,6 +25,7 @@ from hydro_env.files import write_text
 from hydro_env.lab.diagnosis_page import DiagnosisPage
 from hydro_env.lab.guard import Guard
 from hydro_env.lab.jobs import Jobs
+from hydro_env.lab.live_page import LivePage
 from hydro_env.lab.page import RigPage
 from hydro_env.lab.session import Session, Settings
 from hydro_env.lab.uploads import YAML_ENDINGS, Uploads
@@ -42,7 +43,7 @@ class Lab:
     """All that a lab has beside its page: the session at work, the files, the diagnosis. `out` is where logs and reports go."""
 
     def __init__(self, out: Path, session: Session | None = None) -> None:
-        self.out = out
+        self.out, self.told = out, f"Logs and reports go to {out}."
         self.uploads, self.jobs = Uploads(), Jobs(out)
         session = session or Session()
         self.worker = Worker(session, self._keep_log)
@@ -56,6 +57,32 @@ class Lab:
         write_text(path, text)
         self.uploads.add(path, path.name, "fit")
 
+    def start(self) -> None:
+        """Lets the session run."""
+        self.worker.start()
+
+    def add_routes(self, app: FastAPI) -> None:
+        """Uploads and results."""
+        app.add_route("/upload", self._upload, methods=["POST"])
+        app.add_route("/results/{folder}/{file}", self._result, methods=["GET"])
+
+    async def _upload(self, request: Request) -> Response:
+        try:
+            await self.uploads.receive(request.query_params.get("name", ""), request.stream())
+        except InputError as problem:
+            return PlainTextResponse(str(problem), 400)
+        except OSError as problem:
+            return PlainTextResponse(f"cannot be stored: {problem.strerror}", 507)
+        return PlainTextResponse("stored")
+
+    async def _result(self, request: Request) -> Response:
+        folder, file = request.path_params["folder"], request.path_params["file"]
+        path = self.out / folder / file
+        if not (re.fullmatch(r"diagnosis_\d+", folder) and file in RESULTS and path.is_file()):
+            return PlainTextResponse("there is no such result", 404)
+        # A report has scripts of its own; none of them may drive the lab.
+        return FileResponse(path, headers={"content-security-policy": "sandbox allow-scripts"})
+
     def close(self) -> None:
         """Ends the session and a diagnosis that runs, and deletes what was uploaded."""
         self.worker.stop()
@@ -64,9 +91,6 @@ class Lab:
 
     def page(self) -> None:
         """Builds the page for a browser."""
-        ui.page_title(TITLE)
-        ui.add_css(Path(__file__).with_name("style.css"))
-        ui.colors(primary="#0b62a8")
         rig = RigPage(self.worker, self.uploads)
         diagnosis = DiagnosisPage(self.worker, self.uploads, self.jobs)
         with ui.element("main").classes("lab"):
@@ -84,46 +108,37 @@ class Lab:
                 diagnosis.show()
 
 
-def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambda: None) -> Guard:
+def application(lab: Lab | LivePage, port: int, key: str, ready: Callable[[], None] = lambda: None) -> Guard:
     """The guarded web application of a lab; `ready` is called once it is served."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        lab.worker.start()
+        lab.start()
         asyncio.get_running_loop().call_later(0.2, ready)
         yield
 
     app = FastAPI(lifespan=life, docs_url=None, redoc_url=None, openapi_url=None)
 
-    async def upload(request: Request) -> Response:
-        try:
-            await lab.uploads.receive(request.query_params.get("name", ""), request.stream())
-        except InputError as problem:
-            return PlainTextResponse(str(problem), 400)
-        except OSError as problem:
-            return PlainTextResponse(f"cannot be stored: {problem.strerror}", 507)
-        return PlainTextResponse("stored")
+    lab.add_routes(app)
 
-    async def result(request: Request) -> Response:
-        folder, file = request.path_params["folder"], request.path_params["file"]
-        path = lab.out / folder / file
-        if not (re.fullmatch(r"diagnosis_\d+", folder) and file in RESULTS and path.is_file()):
-            return PlainTextResponse("there is no such result", 404)
-        # A report has scripts of its own; none of them may drive the lab.
-        return FileResponse(path, headers={"content-security-policy": "sandbox allow-scripts"})
+    def page() -> None:
+        ui.page_title(TITLE)
+        ui.add_css(Path(__file__).with_name("style.css"))
+        ui.colors(primary="#0b62a8")
+        lab.page()
 
-    app.add_route("/upload", upload, methods=["POST"])
-    app.add_route("/results/{folder}/{file}", result, methods=["GET"])
     look: dict[str, Any] = {"title": TITLE, "dark": None, "language": "en-US", "tailwind": False}
-    ui.run_with(app, root=lab.page, show_welcome_message=False, **look)
+    ui.run_with(app, root=page, show_welcome_message=False, **look)
     return Guard(app, port, key)
 
 
-def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browser: bool = True) -> None:
-    """Serves the page until Ctrl-C, or until the terminal or the system ends it. `settings` are what it begins with; `port` 0
-    takes any that is free.
+def run(
+    out: Path, settings: Settings | None = None, *, live: Path | None = None, port: int = 8137, browser: bool = True
+) -> None:  # fmt: skip
+    """Serves the page until Ctrl-C, or until the terminal or the system ends it. `settings` are what it begins with; with `live`,
+    a folder of `hydro-env live`, the page follows that instead; `port` 0 takes any that is free.
 
-    InputError if the port is taken, `out` cannot be written, or the settings name what is not there.
+    InputError if the port is taken, `out` cannot be written, or the settings or `live` name what is not there.
     """
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
@@ -139,11 +154,11 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
         address = f"http://{HOST}:{port}/?key={key}"
 
         def ready() -> None:
-            print(f"{TITLE}: {address}\nCtrl-C ends it. Logs and reports go to {out}.", flush=True)
+            print(f"{TITLE}: {address}\nCtrl-C ends it. {lab.told}", flush=True)
             if browser:
                 webbrowser.open(address)
 
-        lab = Lab(out, Session(settings))
+        lab = Lab(out, Session(settings)) if live is None else LivePage(live)
         served: Any = application(lab, port, key, ready)
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             if hasattr(signal, name):

@@ -45,9 +45,11 @@ ALLOWED = {
     "training": "errors files reading validation pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs"
     " valve_bench controllers diagnosis benchmark",
-    "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark",
+    "live": "errors files reading units validation plant practice tasks measured envs controllers",
+    "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark"
+    " live",
     "cli": "errors files jit limits units plant practice tasks measured valve_bench data_sheet controllers datasets diagnosis"
-    " benchmark training experiments export fmu_plant lab",
+    " benchmark training experiments export fmu_plant live lab",
     "__main__": "cli",
 }
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 OPTIONAL = (
     "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
     "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "minari", "pettingzoo",
-    "fmpy", "nicegui", "fastapi", "agents",
+    "fmpy", "nicegui", "fastapi", "asyncua", "agents",
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 
@@ -31,6 +31,7 @@ NEEDS_EXTRA = (
     "hydro_env.training.",
     "hydro_env.lab.elements",
     "hydro_env.lab.guard",
+    "hydro_env.lab.live_page",
     "hydro_env.lab.page",
     "hydro_env.lab.diagnosis_page",
     "hydro_env.lab.server",

@@ -62,6 +62,8 @@ class ProbingFlow(Controller):
         self.law = self._begun(measured)
 
     def take_in(self, measured: Measurements) -> None:
+        if self.allowed != Controller.allowed:  # what was sent is not what the law asked for
+            self.law.sent = measured.command
         self.law.update(measured)
 
     def command(self, measured: Measurements) -> Floats:

@@ -1,0 +1,75 @@
+"""The command `live`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from hydro_env.cli.options import EffectFiles, Plant, number
+from hydro_env.errors import InputError
+from hydro_env.limits import Limits
+
+#: Exit status of a run that ended in a fault.
+FAULT = 3
+# fmt: off
+LinkFile = Annotated[Path, Argument(metavar="LINK.yaml", help="How the rig is reached, and its limits.")]
+Controller = Annotated[str | None, Argument(
+    metavar="[CONTROLLER]", help="A name, gains.json, policy.npz, agent.zip (with --trust) or file.py:Class."
+)]
+Scenario = Annotated[str | None, Option(
+    metavar="NAME|FILE.yaml", help="Set-points to follow: a scenario, or step tables. Default: the set-point of the rig."
+)]
+Experiment = Annotated[Path | None, Option(
+    metavar="CSV", help="Play these commands instead of a controller: next_experiment.csv of `diagnose`."
+)]
+CommandLimit = Annotated[float | None, number(
+    "Largest command, per cent of the rated one. Default: that of the link file, which is at most 20.",
+    Limits(1.0, 100.0, unit="%"),
+)]
+# fmt: on
+
+
+def live(
+    link: LinkFile,
+    out: Annotated[Path, Option("--out", help="Folder for the logs; created if needed. Each run begins a new one.")],
+    controller: Controller = None,
+    scenario: Scenario = None,
+    experiment: Experiment = None,
+    plant: Plant = "paper_dead_zone",
+    command_limit: CommandLimit = None,
+    duration: Annotated[float | None, number("End of the run.", Limits(0.1, 1e6, unit="s"))] = None,
+    trust: Annotated[bool, Option("--trust", help="Use controllers whose files can run code, as for `benchmark`.")] = False,
+    effect_files: EffectFiles = None,
+) -> None:  # fmt: skip
+    """Drive a real rig over OPC UA or UDP (needs the extra `live`).
+
+    No safety function. Ctrl-C, every fault and the end of the run write zero commands. After a fault zero is written until
+    Ctrl-C, and the exit status is 3. Writes log_1.csv, a rig log, and log_1.jsonl, what else happened.
+    """
+    if (controller is None) == (experiment is None):
+        raise InputError("name a controller, or an --experiment to play; one of them")
+    if experiment is not None and scenario is not None:
+        raise InputError("--scenario goes with a controller; an --experiment has commands of its own")
+    from hydro_env.live.driver import controlled, played
+    from hydro_env.live.link import load_link
+    from hydro_env.live.run import Run
+    from hydro_env.plant import load_effects, load_model
+
+    def told(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    load_effects(effect_files or [])
+    rig, model = load_link(link), load_model(plant)
+    limit = (rig.command_limit_percent if command_limit is None else command_limit) / 100.0
+    if experiment is not None:
+        driver = played(experiment, rig, model)
+    else:
+        driver = controlled(str(controller), rig, model, scenario, (limit, rig.rate_limit), trust)
+    for line in rig.warnings(limit):
+        told(line)
+    if Run(rig, driver, out, model.pair("u_rated"), limit=limit, duration=duration, told=told)():
+        raise typer.Exit(FAULT)
