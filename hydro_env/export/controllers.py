@@ -23,22 +23,22 @@ from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
 
-__all__ = ["c_files", "onnx_file", "program_of", "st_file"]
+__all__ = ["block_of", "c_files", "onnx_file", "program_of", "st_file", "tuned_on", "written"]
 
 
 def program_of(
-    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False
+    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, readable: bool = False
 ) -> Program:
     """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
     default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python
-    unless asked otherwise; `trust`: as for `make_controller`.
+    unless asked otherwise; `trust`: as for `make_controller`; `readable`: as for `trace`.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
-    model = load_model(plant or _tuned_on(spec))
+    model = load_model(plant or tuned_on(spec))
     controller = _controller(spec, model, single, trust)
     try:
-        return trace(controller, period, controller.name.partition(":")[0], scales_of(model))
+        return trace(controller, period, controller.name.partition(":")[0], scales_of(model), readable)
     except (TraceError, TranslationError) as problem:
         raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
@@ -50,7 +50,7 @@ def _refusal(spec: str, why: object) -> InputError:
     return InputError(f"controller {spec!r} cannot be exported: {why}")
 
 
-def _tuned_on(spec: str) -> str:
+def tuned_on(spec: str) -> str:
     """The plant that a gains file names, or else the paper's."""
     path = split_gains(spec)[0]
     return str((read_gains(path).tuning if path.endswith(".json") else {}).get("plant", "paper_dead_zone"))
@@ -84,19 +84,28 @@ def c_files(
     program = program_of(spec, period, plant, single, trust)
     code = c_code(program, __version__, _about(spec))
     texts = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
-    return _written(folder, "c", spec, texts, program)
+    return written(folder, "c", spec, texts, program)
 
 
 def st_file(
     spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool = False
 ) -> dict[str, Any]:
     """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
-    program = program_of(spec, period, plant, single, trust)
+    program, text = block_of(spec, period, plant, single, trust)
+    return written(folder, "st", spec, {f"{identifier(program.name)}.st": text}, program)
+
+
+def block_of(
+    spec: str, period: float, plant: str | None, single: bool, trust: bool = False, name: str = ""
+) -> tuple[Program, str]:
+    """A readable program and its function block, under its own name or this one. InputError for a controller that calls compiled
+    functions."""
+    program = program_of(spec, period, plant, single, trust, readable=True)
+    program.name = name or program.name
     try:
-        text = structured_text(program, __version__, _about(spec))
+        return program, structured_text(program, __version__, _about(spec))
     except TraceError as problem:
         raise _refusal(spec, problem) from None
-    return _written(folder, "st", spec, {f"{identifier(program.name)}.st": text}, program)
 
 
 def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
@@ -118,7 +127,7 @@ def _policy_file(spec: str) -> Path:
     return entry.file if entry is not None and entry.file is not None else Path(spec)
 
 
-def _written(folder: Path, kind: str, spec: str, texts: dict[str, str], program: Program) -> dict[str, Any]:
+def written(folder: Path, kind: str, spec: str, texts: dict[str, str], program: Program) -> dict[str, Any]:
     """Writes the files of a program, by name, and export.json."""
     for name, text in texts.items():
         write_text(folder / name, text)

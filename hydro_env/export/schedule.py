@@ -62,6 +62,10 @@ class Schedule:
         stores = self._stores(assignments)
         self.body += stores
 
+    def name_of(self, node: Any) -> str | None:
+        """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
+        return self._names.get(node) or (self._arrays[node].array if node in self._arrays else None)
+
     # --- names ----------------------------------------------------------------------------------------------------
     def _fresh(self, letter: str, kind: str, size: int = 0) -> str:
         name = f"{letter}{len(self.variables) + 1}{self._part}"

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import copy
 import inspect
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from hydro_env.controllers.base import Gain
 from hydro_env.envs.observation import LIMIT, OBSERVATION, scales_on
 from hydro_env.ir.reader import Reader
 from hydro_env.plant import PAPER, Scales
@@ -41,12 +44,14 @@ from .symbols import (
     symbols,
 )  # fmt: skip
 
-__all__ = ["MEASURED", "Program", "StateArray", "trace"]
+__all__ = ["GAIN", "MEASURED", "GainInput", "Program", "StateArray", "divisors", "measured_by", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
 #: Samples after which what is kept has taken its form, or never will.
 MAX_SAMPLES = 50
+#: What the names of gains begin with that are inputs of a program.
+GAIN = "Gain_"
 #: What the names of modules begin with that controllers are made of.
 _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
@@ -61,15 +66,26 @@ class StateArray:
 
 
 @dataclass
+class GainInput:
+    """A gain that is an input: what the law says of it, and its values, one or one for each channel."""
+
+    gain: Gain
+    values: list[float]
+
+
+@dataclass
 class Program:
     """What a controller does with a sample: at the first one, and at all others.
 
     `first` and `next` map (array, index) of the state, and ("command", 0 or 1), to expressions of the measurements
-    ("measured", n) and of the state before. Elements of the state that are not in `next` keep their value.
+    ("measured", n), of the `gains` that are inputs (`GAIN` and the name, n), and of the state before. Elements of the state that
+    are not in `next` keep their value. `names`: what the controller's own variables are called, and which element of them it is.
     """
 
     name: str
     period: float
+    gains: list[GainInput] = field(default_factory=list)
+    names: dict[Expr, tuple[str, int]] = field(default_factory=dict)
     state: list[StateArray] = field(default_factory=list)
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
     next: dict[tuple[str, int], Expr] = field(default_factory=dict)
@@ -242,20 +258,24 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
         given["command", channel] = cast(plain[channel], "double")
 
 
-def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Program:
-    """The program of a controller at a control period in s on a rig of this size. TraceError, in one line, for what cannot be
-    followed."""
+def trace(
+    controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False
+) -> Program:
+    """The program of a controller at a control period in s on a rig of this size; a `readable` one has the gains that are in use
+    as inputs, and names. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
-    with interned():
+    with interned(), _named(program.names, own) if readable else nullcontext():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
+        if readable and isinstance(getattr(controller, "gains", None), dict):
+            program.gains = _gains_as_inputs(controller)
         _commands(_sample(controller, rig), program.first)
         kept = _kept_by(controller)
         settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
             raise TraceError("what it keeps between samples changes its form after the first one")
-        changing = {key for key, each in kept.items() if each.op != "const"}
+        changing = {key for key, each in kept.items() if not (each.op == "const" or _of_gains_only(each))}
         while True:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
@@ -269,6 +289,63 @@ def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Pro
         _check_settled(again, rig)
     _fill(program, kept, after, changing, names)
     return program
+
+
+@contextmanager
+def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
+    """Inside, what local variables of traced functions hold when these end gets their names, unless it has one."""
+
+    def seen(frame: Any, event: str, _: Any) -> None:
+        module = frame.f_globals.get("__name__", "")
+        if event != "return" or frame.f_code.co_name.startswith("<"):  # the variables of a comprehension say little
+            return
+        if not (module.startswith(_TRACED) or module in own):
+            return
+        for name, value in frame.f_locals.items():
+            if isinstance(value, Symbols):
+                for n, each in enumerate(value.elements()):
+                    names.setdefault(each, (name, n if value.size > 1 else -1))
+
+    before = sys.getprofile()
+    sys.setprofile(seen)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)
+
+
+def _gains_as_inputs(controller: Any) -> list[GainInput]:
+    """Puts leaves in the place of the gains that are in use, one or one for each channel; what these are."""
+    given, made = dict(controller.gains_given()), []
+    for gain in controller.GAINS:
+        values = np.asarray(given[gain.name])
+        if np.all(values == gain.default) or values.size > 2:
+            continue
+        leaves = [leaf(GAIN + gain.name, n, "double") for n in range(values.size)]
+        given[gain.name] = symbols(leaves, values.shape)
+        made.append(GainInput(gain, values.reshape(-1).tolist()))
+    controller.gains = controller.converted(given)
+    return made
+
+
+def measured_by(program: Program) -> set[int]:
+    """Which measurements a program reads."""
+    leaves = _needed([*program.first.values(), *program.next.values()])
+    return {n for name, n in leaves if name == "measured"}
+
+
+def divisors(program: Program) -> set[tuple[str, int]]:
+    """The leaves that something is divided by."""
+    found = set()
+    for node in _nodes([*program.first.values(), *program.next.values()]):
+        if isinstance(node, Expr) and node.op == "div":
+            found |= _needed([node.args[1]])
+    return found
+
+
+def _of_gains_only(x: Expr) -> bool:
+    leaves = _needed([x])
+    return bool(leaves) and all(name.startswith(GAIN) for name, _ in leaves)
 
 
 def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
@@ -340,20 +417,21 @@ def _check_settled(controller: Any, rig: Scales) -> None:
             raise TraceError(f"{path.strip('.')} is a plain Python value that changes from sample to sample")
 
 
-def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
-    """The leaves that expressions read."""
-    found: set[tuple[str, int]] = set()
+def _nodes(roots: list[Expr]) -> Iterator[Any]:
+    """Expressions with all that is below them."""
     seen: set[int] = set()
     stack: list[Any] = list(roots)
     while stack:
         node = stack.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        if isinstance(node, Expr) and node.op == "leaf":
-            found.add(node.value)
-        stack += below(node)
-    return found
+        if id(node) not in seen:
+            seen.add(id(node))
+            yield node
+            stack += below(node)
+
+
+def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
+    """The leaves that expressions read."""
+    return {node.value for node in _nodes(roots) if isinstance(node, Expr) and node.op == "leaf"}
 
 
 def _fill(
@@ -369,10 +447,10 @@ def _fill(
                 f"{path.strip('.')} and {other[0].strip('.')} are the same array in some samples only"
             )
     needed: set[tuple[str, int]] = set()
-    found = {key for key in _needed([*program.next.values()]) if key[0] != "measured"}
+    found = {key for key in _needed([*program.next.values()]) if key in by_name}
     while found - needed:
         needed |= found
-        found = {key for key in _needed([after[by_name[key]] for key in needed]) if key[0] != "measured"}
+        found = {key for key in _needed([after[by_name[key]] for key in needed]) if key in by_name}
     for path, name in names.items():
         mine = [n for (own, n) in needed if own == name]
         if not mine or any(each.name == name for each in program.state):

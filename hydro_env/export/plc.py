@@ -1,0 +1,112 @@
+"""A controller as a project for a PLC: its function block, a fallback, scaling of analogue cards, modes, watchdog, a task.
+
+The text `templates/plc.st` is the same for all controllers but for the sensors that these use. It is written twice: as
+Structured Text, and as PLCopen XML, which engineering tools import (`plcopen`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydro_env import __version__
+from hydro_env.errors import InputError
+from hydro_env.plant import Scales, load_model, scales_of
+from hydro_env.units import BAR, RPM
+
+from .controllers import block_of, tuned_on, written
+from .plcopen import plcopen_xml
+from .structured_text import INPUTS, block_name
+from .templates import template
+from .tracing import Program, measured_by
+
+__all__ = ["SIGNALS", "Cards", "plc_files"]
+
+#: Signals of sensors, and the raw value at their lower end as a share of that at the upper one.
+SIGNALS = {"10V": -1, "4-20mA": 0}
+#: How long a speed may stay the same, to the last digit, against a command that has changed much, s.
+FROZEN = 0.2
+
+#: Of each kind of sensor: the unit of its range, that unit in SI, and the tens of its fault code.
+_UNITS = {"Speed": ("rpm", RPM, 1), "Current": ("A", 1.0, 3), "Pressure": ("bar", BAR, 4)}
+
+
+@dataclass(frozen=True)
+class Cards:
+    """What is known of the analogue cards: the raw value at 10 V or 20 mA, the signal of the sensors (of `SIGNALS`), and whether
+    the variables are declared as TwinCAT links them."""
+
+    full_scale: int = 27648
+    signal: str = "10V"
+    twincat: bool = False
+
+
+def plc_files(
+    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool, fallback: str, cards: Cards
+) -> dict[str, Any]:
+    """Writes plc.st, plc.xml and export.json; what the latter holds. `fallback` is a controller that goes by the speeds alone.
+
+    InputError for controllers that have no Structured Text, and a fallback that needs other sensors.
+    """
+    program, block = block_of(spec, period, plant, single, trust)
+    own = block_name(program)
+    other, second = block_of(fallback, period, plant, single, trust, f"Fallback_{own}")
+    if measured_by(other) & set(range(3, 7)):
+        raise InputError(f"--fallback is {fallback!r}, which needs currents or pressures; one that goes by speeds is right")
+    rig = scales_of(load_model(plant or tuned_on(spec)))
+    text = template("plc.st").substitute(
+        blocks=f"{block}\n{second}", controller_block=own, fallback_block=block_name(other), period=repr(period),
+        seconds=f"LREAL#{period!r}", milliseconds=f"{1e3 * period:.6g}", full=cards.full_scale,
+        to_card=" AT %Q*" if cards.twincat else "", frozen=max(1, round(FROZEN / period)), top=_number(1200.0 * rig.speed),
+        ramp=_number(600.0 * rig.speed), fallback_inputs=_call(other), controller_inputs=_call(program),
+        **_sensors(program, rig, cards),
+    )  # fmt: skip
+    xml = plcopen_xml(text, f"hydro_env {own}", period, __version__)
+    return written(folder, "plc", spec, {"plc.st": text, "plc.xml": xml}, program)
+
+
+def _number(value: float) -> str:
+    """A default that somebody will change, to two digits."""
+    return f"LREAL#{float(f'{value:.2g}')!r}"
+
+
+def _used(program: Program) -> list[str]:
+    """Its sensors, as the block's inputs are called; the speeds are always watched."""
+    return [name for n, name in enumerate(INPUTS) if n in {1, 2} | (measured_by(program) & {3, 4, 5, 6})]
+
+
+def _sensors(program: Program, rig: Scales, cards: Cards) -> dict[str, str]:
+    """The parts of the project that differ with the sensors of a controller."""
+    tops = {"Speed": 1200.0 * rig.speed, "Current": 2.0 * rig.current, "Pressure": 100.0 * rig.pressure}
+    made = dict.fromkeys(("raw", "ranges", "instances", "readings", "causes", "codes"), "")
+    at, low = " AT %I*" if cards.twincat else "", SIGNALS[cards.signal] * cards.full_scale
+    for name in _used(program):
+        kind, channel = name[:-1], name[-1]
+        unit, code = _UNITS[kind][0], f"{_UNITS[kind][2]}{channel}"
+        if channel == "1":
+            made["ranges"] += (
+                f"    {kind}RawLow : INT := {low};\n    {kind}RawHigh : INT := {cards.full_scale};\n"
+                f"    {kind}Low : LREAL := {_number(-tops[kind])}; (* {unit} at {kind}RawLow *)\n"
+                f"    {kind}High : LREAL := {_number(tops[kind])}; (* {unit} at {kind}RawHigh *)\n"
+            )
+        made["raw"] += f"    {name}Raw{at} : INT; (* from the card *)\n"
+        made["instances"] += f"    {name}Input : AnalogInput;\n"
+        frozen = "FrozenCalls" if kind == "Speed" else "0"
+        made["readings"] += (
+            f"{name}Input(Raw := {name}Raw, RawLow := {kind}RawLow, RawHigh := {kind}RawHigh, Low := {kind}Low, High := {kind}High,"
+            f" Drive := Command{channel}, FrozenCommand := FrozenCommand, FrozenCalls := {frozen}, Reset := Restart);\n"
+        )
+        made["codes"] += f"{code} {name} out of range; "
+        made["causes"] += f"IF (Cause = 50) AND {name}Input.OutOfRange THEN\n    Cause := {code};\nEND_IF;\n"
+    for channel in "12":
+        made["codes"] += f"2{channel} Speed{channel} frozen; "
+        made["causes"] += f"IF (ActiveMode > 1) AND Speed{channel}Input.Frozen THEN\n    Cause := 2{channel};\nEND_IF;\n"
+    return made
+
+
+def _call(program: Program) -> str:
+    """What the block of a program is given, in SI."""
+    given = [f"SpeedSetpoint := RampedSetpoint * LREAL#{RPM!r}"]
+    given += [f"{name} := {name}Input.Value * LREAL#{_UNITS[name[:-1]][1]!r}" for name in _used(program)]
+    return ", ".join([*given, "CommandInForce1 := Command1", "CommandInForce2 := Command2", "Reset := Restart"])
