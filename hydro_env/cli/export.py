@@ -1,4 +1,4 @@
-"""The command `export` with what it exports: fmu, c, st, onnx."""
+"""The command `export` with what it exports: fmu, c, st, plc, onnx."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ export = typer.Typer(
     cls=HelpfulGroup,
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, ONNX.",
+    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, a PLC project, ONNX.",
 )
 
 # fmt: off
@@ -86,6 +86,27 @@ def st(
         from hydro_env.export.controllers import st_file
 
         st_file(controller, folder, control_period, plant, single, trust)
+
+
+@export.command(cls=HelpfulCommand)
+def plc(
+    controller: Controller, out: Out,
+    fallback: Annotated[str, Option(metavar="CONTROLLER", help="A controller that goes by the speeds alone.")] = "pid_tuned",
+    full_scale: Annotated[int, number(
+        "Raw value of the analogue cards at 10 V or 20 mA.", Limits(1000, 32767, whole=True), "--full-scale")] = 27648,
+    signal: Annotated[str, Option(help="Signal of the sensors: 10V or 4-20mA.")] = "10V",
+    twincat: Annotated[bool, Option("--twincat", help="Declare what is wired with AT %I* and AT %Q*, as TwinCAT links it.")] = False,
+    control_period: Period = 0.01, plant: Bench = None, single: Single = False, trust: Trust = False,
+) -> None:  # fmt: skip
+    """Export a controller as a project for a PLC.
+
+    Structured Text and the same as PLCopen XML: scaling, modes, ramp, watchdog, fallback, and a task that calls it all.
+    """
+    with writing(out) as folder:
+        from hydro_env.export.plc import Cards, plc_files
+
+        cards = Cards(full_scale, signal, twincat)
+        plc_files(controller, folder, control_period, plant, single, trust, fallback, cards)
 
 
 @export.command(cls=HelpfulCommand)

@@ -47,8 +47,10 @@ def plc_files(
 ) -> dict[str, Any]:
     """Writes plc.st, plc.xml and export.json; what the latter holds. `fallback` is a controller that goes by the speeds alone.
 
-    InputError for controllers that have no Structured Text, and a fallback that needs other sensors.
+    InputError for controllers that have no Structured Text, a fallback that needs other sensors, and an unknown signal.
     """
+    if cards.signal not in SIGNALS:
+        raise InputError(f"--signal is {cards.signal!r}; {' or '.join(SIGNALS)} is right")
     program, block = block_of(spec, period, plant, single, trust)
     own = block_name(program)
     other, second = block_of(fallback, period, plant, single, trust, f"Fallback_{own}")
