@@ -41,10 +41,13 @@ def fmu(
     out: Out,
     model: Annotated[str, Option(help="Preset or YAML file of the rig.")],
     fmi: Annotated[str, Option(help="Version of the standard: 2, 3 or both.")] = "both",
-) -> None:
+    platform: Annotated[list[str] | None, Option(
+        help="Platform of a binary: linux64, win64, darwin64, linux-arm64 or darwin-arm64; may be given several times (extra "
+        "`windows` for others than this machine's). Default: this machine.")] = None,
+) -> None:  # fmt: skip
     """Export a rig as a co-simulation FMU.
 
-    FMI 2.0 and 3.0, with the C source and, where there is a C compiler, a binary for this machine.
+    FMI 2.0 and 3.0, with the C source and, where there is a C compiler, binaries.
     """
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}.get(fmi)
     if versions is None:
@@ -53,7 +56,7 @@ def fmu(
         from hydro_env.export.fmu.build import export_fmu
         from hydro_env.plant import load_model
 
-        made = export_fmu(load_model(model), folder, versions)
+        made = export_fmu(load_model(model), folder, versions, tuple(platform or ()))
         if made.note:
             print(f"Note: {made.note}.")
 
