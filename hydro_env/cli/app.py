@@ -17,6 +17,7 @@ from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.lab import lab
 from hydro_env.cli.listing import list_names
 from hydro_env.cli.naming_benchmark import naming_benchmark
+from hydro_env.cli.pdf import pdf
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
 
@@ -50,7 +51,7 @@ def _options(
 
 
 for _command in (
-    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop,
+    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop, pdf,
 ):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")

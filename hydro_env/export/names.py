@@ -14,10 +14,12 @@ __all__ = ["Names", "pascal"]
 
 #: Words that are no name of a variable in IEC 61131-3 or in tools after it, as far as Python's variables could be called so.
 _WORDS = frozenset(
-    """abs action add and any array at bool by byte case concat constant do else elsif end exit exp find for from function if in
-    initial insert int interval left len limit ln log max mid min mod move mul not of on or override priority program property
-    read real ref repeat replace resource retain return right rol ror round sel shl shr single step string sub super then this
-    time to true type until using var while with word write xor""".split()
+    """abs abstract action add adr and any array at bool by byte case class concat constant continue delete do else elsif end enum
+    exit exp extends external final find for from function global goto if implements in ini initial insert int interface interval
+    internal left len limit ln log max method mid min mod move mul mux namespace new not null of on or overlap override
+    persistent pointer priority private program property protected public read real ref reference repeat replace resource retain
+    return right rol ror round sel self shl shr single sizeof step string struct sub super task then this time to true trunc type
+    union until using var while with word write xor""".split()
 )
 #: What a variable is called that holds no value of the controller, by the first letter that it has in a schedule.
 _HELPERS = {"g": "Gathered", "s": "Sum", "a": "Copied", "x": "Value", "v": "Values", "i": "Index", "j": "Column"}
