@@ -118,7 +118,9 @@ def test_a_page_as_pdf_with_what_its_script_draws(tmp_path: Path) -> None:
     assert (round(width), round(height)) == (595, 842)
     reader = shutil.which("pdftotext")
     if reader is not None:
-        text = subprocess.run([reader, str(page.with_suffix(".pdf")), "-"], capture_output=True, text=True).stdout
+        text = subprocess.run(
+            [reader, str(page.with_suffix(".pdf")), "-"], capture_output=True, text=True
+        ).stdout
         assert "Report" in text and "drawn-later" in text and "1/1" in text
 
 

@@ -98,7 +98,8 @@ def plc(
     full_scale: Annotated[int, number(
         "Raw value of the analogue cards at 10 V or 20 mA.", Limits(1000, 32767, whole=True), "--full-scale")] = 27648,
     signal: Annotated[str, Option(help="Signal of the sensors: 10V or 4-20mA.")] = "10V",
-    twincat: Annotated[bool, Option("--twincat", help="Declare what is wired with AT %I* and AT %Q*, as TwinCAT links it.")] = False,
+    twincat: Annotated[bool, Option(
+        "--twincat", help="Declare what is wired with AT %I* and AT %Q*, as TwinCAT links it.")] = False,
     control_period: Period = 0.01, plant: Bench = None, single: Single = False, trust: Trust = False,
 ) -> None:  # fmt: skip
     """Export a controller as a project for a PLC.

@@ -10,7 +10,11 @@ from typer import Argument
 __all__ = ["pdf"]
 
 
-def pdf(pages: Annotated[list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")]) -> None:
+def pdf(
+    pages: Annotated[
+        list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")
+    ],
+) -> None:
     """Print pages of results as PDF.
 
     PAGE.pdf is written beside each page, by Chromium, Chrome or Edge, whichever is found, or by $CHROME.

@@ -34,8 +34,9 @@ def build_library(
     """Makes a shared library. InputError with the compiler's first complaint if it does not compile."""
     library.parent.mkdir(parents=True, exist_ok=True)
     names = [str(path) for path in sources]
+    shared = ["-shared"] if library.suffix == ".dll" else ["-shared", "-fPIC"]
     command = [
-        *compiler, *flags, *([] if library.suffix == ".dll" else ["-fPIC"]), "-shared", "-fvisibility=hidden", *names, "-o", str(library), "-lm",
+        *compiler, *flags, *shared, "-fvisibility=hidden", *names, "-o", str(library), "-lm",
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:

@@ -27,7 +27,12 @@ __all__ = ["block_of", "c_files", "onnx_file", "program_of", "st_file", "tuned_o
 
 
 def program_of(
-    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, readable: bool = False
+    spec: str,
+    period: float,
+    plant: str | None = None,
+    single: bool = False,
+    trust: bool = False,
+    readable: bool = False,
 ) -> Program:
     """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
     default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from string import ascii_lowercase
 from typing import Any
@@ -13,16 +12,22 @@ from .symbols import Expr, below
 __all__ = ["Names", "pascal"]
 
 #: Words that are no name of a variable in IEC 61131-3 or in tools after it, as far as Python's variables could be called so.
-_WORDS = frozenset(
-    """abs abstract action add adr and any array at bool by byte case class concat constant continue delete do else elsif end enum
-    exit exp extends external final find for from function global goto if implements in ini initial insert int interface interval
-    internal left len limit ln log max method mid min mod move mul mux namespace new not null of on or overlap override
-    persistent pointer priority private program property protected public read real ref reference repeat replace resource retain
-    return right rol ror round sel self shl shr single sizeof step string struct sub super task then this time to true trunc type
-    union until using var while with word write xor""".split()
-)
+_WORDS = """abs abstract action add adr and any array at bool by byte case class concat constant continue delete do else elsif end
+enum exit exp extends external final find for from function global goto if implements in ini initial insert int interface interval
+internal left len limit ln log max method mid min mod move mul mux namespace new not null of on or overlap override persistent
+pointer priority private program property protected public read real ref reference repeat replace resource retain return right rol
+ror round sel self shl shr single sizeof step string struct sub super task then this time to true trunc type union until using var
+while with word write xor"""
 #: What a variable is called that holds no value of the controller, by the first letter that it has in a schedule.
-_HELPERS = {"g": "Gathered", "s": "Sum", "a": "Copied", "x": "Value", "v": "Values", "i": "Index", "j": "Column"}
+_HELPERS = {
+    "g": "Gathered",
+    "s": "Sum",
+    "a": "Copied",
+    "x": "Value",
+    "v": "Values",
+    "i": "Index",
+    "j": "Column",
+}
 
 
 def pascal(name: str) -> str:
@@ -36,12 +41,13 @@ class Names:
 
     def __init__(self, taken: Iterable[str]) -> None:
         self._types: dict[str, Any] = dict.fromkeys((name.lower() for name in taken), "taken")
+        self._types |= dict.fromkeys(_WORDS.split(), "word")
         self._here: set[str] = set()
 
     def new(self, name: str, kind: Any) -> str:
         """The name, or the first of `name_b`, `name_c`, ... that is free."""
         made, n = name, 1
-        while (key := made.lower()) in _WORDS | self._here or self._types.get(key, kind) != kind:
+        while (key := made.lower()) in self._here or self._types.get(key, kind) != kind:
             made = f"{name}_{ascii_lowercase[n] if n < 26 else n}"
             n += 1
         self._types[key] = kind

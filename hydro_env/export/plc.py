@@ -43,7 +43,14 @@ class Cards:
 
 
 def plc_files(
-    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool, fallback: str, cards: Cards
+    spec: str,
+    folder: Path,
+    period: float,
+    plant: str | None,
+    single: bool,
+    trust: bool,
+    fallback: str,
+    cards: Cards,
 ) -> dict[str, Any]:
     """Writes plc.st, plc.xml and export.json; what the latter holds. `fallback` is a controller that goes by the speeds alone.
 
@@ -55,7 +62,9 @@ def plc_files(
     own = block_name(program)
     other, second = block_of(fallback, period, plant, single, trust, f"Fallback_{own}")
     if measured_by(other) & set(range(3, 7)):
-        raise InputError(f"--fallback is {fallback!r}, which needs currents or pressures; one that goes by speeds is right")
+        raise InputError(
+            f"--fallback is {fallback!r}, which needs currents or pressures; one that goes by speeds is right"
+        )
     rig = scales_of(load_model(plant or tuned_on(spec)))
     text = template("plc.st").substitute(
         blocks=f"{block}\n{second}", controller_block=own, fallback_block=block_name(other), period=repr(period),
@@ -96,14 +105,17 @@ def _sensors(program: Program, rig: Scales, cards: Cards) -> dict[str, str]:
         made["instances"] += f"    {name}Input : AnalogInput;\n"
         frozen = "FrozenCalls" if kind == "Speed" else "0"
         made["readings"] += (
-            f"{name}Input(Raw := {name}Raw, RawLow := {kind}RawLow, RawHigh := {kind}RawHigh, Low := {kind}Low, High := {kind}High,"
-            f" Drive := Command{channel}, FrozenCommand := FrozenCommand, FrozenCalls := {frozen}, Reset := Restart);\n"
+            f"{name}Input(Raw := {name}Raw, RawLow := {kind}RawLow, RawHigh := {kind}RawHigh, Low := {kind}Low, "
+            f"High := {kind}High, Drive := Command{channel}, FrozenCommand := FrozenCommand, "
+            f"FrozenCalls := {frozen}, Reset := Restart);\n"
         )
         made["codes"] += f"{code} {name} out of range; "
         made["causes"] += f"IF (Cause = 50) AND {name}Input.OutOfRange THEN\n    Cause := {code};\nEND_IF;\n"
     for channel in "12":
         made["codes"] += f"2{channel} Speed{channel} frozen; "
-        made["causes"] += f"IF (ActiveMode > 1) AND Speed{channel}Input.Frozen THEN\n    Cause := 2{channel};\nEND_IF;\n"
+        made["causes"] += (
+            f"IF (ActiveMode > 1) AND Speed{channel}Input.Frozen THEN\n    Cause := 2{channel};\nEND_IF;\n"
+        )
     return made
 
 
@@ -111,4 +123,6 @@ def _call(program: Program) -> str:
     """What the block of a program is given, in SI."""
     given = [f"SpeedSetpoint := RampedSetpoint * LREAL#{RPM!r}"]
     given += [f"{name} := {name}Input.Value * LREAL#{_UNITS[name[:-1]][1]!r}" for name in _used(program)]
-    return ", ".join([*given, "CommandInForce1 := Command1", "CommandInForce2 := Command2", "Reset := Restart"])
+    return ", ".join(
+        [*given, "CommandInForce1 := Command1", "CommandInForce2 := Command2", "Reset := Restart"]
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from xml.etree import ElementTree as xml
 
@@ -13,7 +12,12 @@ NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
 XHTML = "http://www.w3.org/1999/xhtml"
 #: Codesys and what is made of it read the cycle of a task here.
 TASK_SETTINGS = "http://www.3s-software.com/plcopenxml/tasksettings"
-_SECTIONS = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR": "localVars", "VAR CONSTANT": "localVars"}
+_SECTIONS = {
+    "VAR_INPUT": "inputVars",
+    "VAR_OUTPUT": "outputVars",
+    "VAR": "localVars",
+    "VAR CONSTANT": "localVars",
+}
 _UNIT = re.compile(
     r"(?:^\(\*(?P<about>[^*]*(?:\*(?!\))[^*]*)*)\*\)\n)?^(?P<kind>FUNCTION_BLOCK|PROGRAM) (?P<name>\w+)\n"
     r"(?P<sections>(?:VAR.*?\nEND_VAR\n)*)\n(?P<body>.*?)^END_(?P=kind)$",
@@ -29,10 +33,17 @@ _ELEMENTARY = ("BOOL", "INT", "DINT", "REAL", "LREAL")
 
 
 def plcopen_xml(text: str, name: str, period: float, version: str) -> str:
-    """The project of function blocks and one program, as this package writes them; the program runs every `period` s in a task."""
+    """The project of function blocks and one program, as this package writes them; a task runs the program every `period` s."""
     root = xml.Element("project", xmlns=NAMESPACE)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    _add(root, "fileHeader", companyName="hydro_env", productName="hydro_env", productVersion=version, creationDateTime=now)
+    _add(
+        root,
+        "fileHeader",
+        companyName="hydro_env",
+        productName="hydro_env",
+        productVersion=version,
+        creationDateTime=now,
+    )
     coordinates = _add(_add(root, "contentHeader", name=name), "coordinateInfo")
     for language in ("fbd", "ld", "sfc"):
         _add(_add(coordinates, language), "scaling", x="1", y="1")
@@ -48,7 +59,8 @@ def plcopen_xml(text: str, name: str, period: float, version: str) -> str:
     task = _add(resource, "task", name="Cycle", interval=f"PT{period:.7g}S", priority="1")
     _add(task, "pouInstance", name=program, typeName=program)
     data = _add(_add(task, "addData"), "data", name=TASK_SETTINGS, handleUnknown="discard")
-    _add(data, "TaskSettings", KindOfTask="Cyclic", Interval=f"t#{1e6 * period:.0f}us", IntervalUnit="us", xmlns="")
+    interval = f"t#{round(1e6 * period)}us"
+    _add(data, "TaskSettings", KindOfTask="Cyclic", Interval=interval, IntervalUnit="us", xmlns="")
     xml.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + xml.tostring(root, encoding="unicode") + "\n"
 
@@ -72,7 +84,9 @@ def _pou(pou: xml.Element, unit: re.Match[str]) -> None:
 
 
 def _variable(section: xml.Element, declared: re.Match[str]) -> None:
-    variable = _add(section, "variable", name=declared["name"], **({"address": declared["at"]} if declared["at"] else {}))
+    variable = _add(
+        section, "variable", name=declared["name"], **({"address": declared["at"]} if declared["at"] else {})
+    )
     base = _add(variable, "type")
     if declared["high"]:
         array = _add(base, "array")

@@ -39,7 +39,19 @@ INPUTS = {
     "Pressure2": "Pa", "CommandInForce1": "-1 to 1", "CommandInForce2": "-1 to 1",
 }  # fmt: skip
 #: What else the block declares.
-_OWN = ("Reset", "Command1", "Command2", "Fault", "Fresh", "Started", "Missed", "Given", "Measured", "HoldCalls", "Index")
+_OWN = (
+    "Reset",
+    "Command1",
+    "Command2",
+    "Fault",
+    "Fresh",
+    "Started",
+    "Missed",
+    "Given",
+    "Measured",
+    "HoldCalls",
+    "Index",
+)
 
 
 def structured_text(program: Program, version: str, about: str) -> str:
@@ -57,7 +69,9 @@ def structured_text(program: Program, version: str, about: str) -> str:
         variables |= {called[name]: kind for name, kind in schedule.variables.items()}
         bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
     inputs = "".join(f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items())
-    state = "".join(f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state)
+    state = "".join(
+        f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state
+    )
     gathered = "".join(f"Given[{n}] := {each};\n" for n, each in enumerate(INPUTS))
     most = _literal(MAX_VALUE, "double")
     within = [f"ABS({name}) <= {most}" for name, _, _ in gains]

@@ -258,9 +258,7 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
         given["command", channel] = cast(plain[channel], "double")
 
 
-def trace(
-    controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False
-) -> Program:
+def trace(controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False) -> Program:
     """The program of a controller at a control period in s on a rig of this size; a `readable` one has the gains that are in use
     as inputs, and names. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
@@ -297,7 +295,9 @@ def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
 
     def seen(frame: Any, event: str, _: Any) -> None:
         module = frame.f_globals.get("__name__", "")
-        if event != "return" or frame.f_code.co_name.startswith("<"):  # the variables of a comprehension say little
+        if event != "return" or frame.f_code.co_name.startswith(
+            "<"
+        ):  # the variables of a comprehension say little
             return
         if not (module.startswith(_TRACED) or module in own):
             return

