@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,23 +29,23 @@ __all__ = ["block_of", "c_files", "onnx_file", "program_of", "st_file", "tuned_o
 
 
 def program_of(
-    spec: str,
-    period: float,
-    plant: str | None = None,
-    single: bool = False,
-    trust: bool = False,
-    readable: bool = False,
-) -> Program:
+    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, readable: bool = False
+) -> Program:  # fmt: skip
     """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
     default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python
-    unless asked otherwise; `trust`: as for `make_controller`; `readable`: as for `trace`.
+    unless asked otherwise; `trust`: as for `make_controller`; `readable`: as for `trace`, but for a law
+    that decides by its gains in plain Python, which has them built in.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
     model = load_model(plant or tuned_on(spec))
     controller = _controller(spec, model, single, trust)
+    make = partial(trace, controller, period, controller.name.partition(":")[0], scales_of(model), readable)
     try:
-        return trace(controller, period, controller.name.partition(":")[0], scales_of(model), readable)
+        if readable:
+            with suppress(Exception):
+                return make(gains=True)
+        return make()
     except (TraceError, TranslationError) as problem:
         raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do

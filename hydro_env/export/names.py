@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from string import ascii_lowercase
 from typing import Any
 
+from .c_printer import identifier
 from .schedule import Schedule
 from .symbols import Expr, below
 
@@ -20,19 +21,13 @@ ror round sel self shl shr single sizeof step string struct sub super task then 
 while with word write xor"""
 #: What a variable is called that holds no value of the controller, by the first letter that it has in a schedule.
 _HELPERS = {
-    "g": "Gathered",
-    "s": "Sum",
-    "a": "Copied",
-    "x": "Value",
-    "v": "Values",
-    "i": "Index",
-    "j": "Column",
-}
+    "g": "Gathered", "s": "Sum", "a": "Copied", "x": "Value", "v": "Values", "i": "Index", "j": "Column",
+}  # fmt: skip
 
 
 def pascal(name: str) -> str:
-    """`pid_integral` as `PidIntegral`."""
-    return "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+    """`pid_integral` as `PidIntegral`, with ASCII letters."""
+    return "".join(word[:1].upper() + word[1:] for word in identifier(name).split("_"))
 
 
 class Names:

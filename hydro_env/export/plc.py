@@ -6,6 +6,7 @@ Structured Text, and as PLCopen XML, which engineering tools import (`plcopen`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,25 @@ __all__ = ["SIGNALS", "Cards", "plc_files"]
 SIGNALS = {"10V": -1, "4-20mA": 0}
 #: How long a speed may stay the same, to the last digit, against a command that has changed much, s.
 FROZEN = 0.2
-
-#: Of each kind of sensor: the unit of its range, that unit in SI, and the tens of its fault code.
-_UNITS = {"Speed": ("rpm", RPM, 1), "Current": ("A", 1.0, 3), "Pressure": ("bar", BAR, 4)}
+#: Of each kind of sensor: the unit of its range, that unit in SI, the tens of its fault code, and the range on a rig of a size.
+_KINDS: dict[str, tuple[str, float, int, Callable[[Scales], float]]] = {
+    "Speed": ("rpm", RPM, 1, lambda rig: 1200.0 * rig.speed),
+    "Current": ("A", 1.0, 3, lambda rig: 2.0 * rig.current),
+    "Pressure": ("bar", BAR, 4, lambda rig: 100.0 * rig.pressure),
+}
+#: What the project says of each sensor, and of each kind of sensor, by the place in the template.
+_PARTS = {
+    "raw": "    {name}Raw{at} : INT; (* from the card *)\n",
+    "ranges": """    {kind}RawLow : INT := {low};
+    {kind}RawHigh : INT := {full};
+    {kind}Low : LREAL := {bottom}; (* {unit} at {kind}RawLow *)
+    {kind}High : LREAL := {top}; (* {unit} at {kind}RawHigh *)\n""",
+    "instances": "    {name}Input : AnalogInput;\n",
+    "readings": "{name}Input(Raw := {name}Raw, RawLow := {kind}RawLow, RawHigh := {kind}RawHigh, Low := {kind}Low, "
+    "High := {kind}High, Drive := Command{channel}, FrozenCommand := FrozenCommand, FrozenCalls := {calls}, Reset := Restart);\n",
+    "causes": "IF (Cause = 50) AND {name}Input.OutOfRange THEN\n    Cause := {code};\nEND_IF;\n",
+    "codes": "{code} {name} out of range; ",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,15 +60,8 @@ class Cards:
 
 
 def plc_files(
-    spec: str,
-    folder: Path,
-    period: float,
-    plant: str | None,
-    single: bool,
-    trust: bool,
-    fallback: str,
-    cards: Cards,
-) -> dict[str, Any]:
+    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool, fallback: str, cards: Cards
+) -> dict[str, Any]:  # fmt: skip
     """Writes plc.st, plc.xml and export.json; what the latter holds. `fallback` is a controller that goes by the speeds alone.
 
     InputError for controllers that have no Structured Text, a fallback that needs other sensors, and an unknown signal.
@@ -62,9 +72,8 @@ def plc_files(
     own = block_name(program)
     other, second = block_of(fallback, period, plant, single, trust, f"Fallback_{own}")
     if measured_by(other) & set(range(3, 7)):
-        raise InputError(
-            f"--fallback is {fallback!r}, which needs currents or pressures; one that goes by speeds is right"
-        )
+        why = "which needs currents or pressures; one that goes by speeds is right"
+        raise InputError(f"--fallback is {fallback!r}, {why}")
     rig = scales_of(load_model(plant or tuned_on(spec)))
     text = template("plc.st").substitute(
         blocks=f"{block}\n{second}", controller_block=own, fallback_block=block_name(other), period=repr(period),
@@ -73,7 +82,7 @@ def plc_files(
         ramp=_number(600.0 * rig.speed), fallback_inputs=_call(other), controller_inputs=_call(program),
         **_sensors(program, rig, cards),
     )  # fmt: skip
-    xml = plcopen_xml(text, f"hydro_env {own}", period, __version__)
+    xml = plcopen_xml(text, own, period, __version__)
     return written(folder, "plc", spec, {"plc.st": text, "plc.xml": xml}, program)
 
 
@@ -84,45 +93,28 @@ def _number(value: float) -> str:
 
 def _used(program: Program) -> list[str]:
     """Its sensors, as the block's inputs are called; the speeds are always watched."""
-    return [name for n, name in enumerate(INPUTS) if n in {1, 2} | (measured_by(program) & {3, 4, 5, 6})]
+    used = {1, 2} | (measured_by(program) & {3, 4, 5, 6})
+    return [name for n, name in enumerate(INPUTS) if n in used]
 
 
 def _sensors(program: Program, rig: Scales, cards: Cards) -> dict[str, str]:
     """The parts of the project that differ with the sensors of a controller."""
-    tops = {"Speed": 1200.0 * rig.speed, "Current": 2.0 * rig.current, "Pressure": 100.0 * rig.pressure}
-    made = dict.fromkeys(("raw", "ranges", "instances", "readings", "causes", "codes"), "")
-    at, low = " AT %I*" if cards.twincat else "", SIGNALS[cards.signal] * cards.full_scale
+    made = dict.fromkeys(_PARTS, "")
     for name in _used(program):
         kind, channel = name[:-1], name[-1]
-        unit, code = _UNITS[kind][0], f"{_UNITS[kind][2]}{channel}"
-        if channel == "1":
-            made["ranges"] += (
-                f"    {kind}RawLow : INT := {low};\n    {kind}RawHigh : INT := {cards.full_scale};\n"
-                f"    {kind}Low : LREAL := {_number(-tops[kind])}; (* {unit} at {kind}RawLow *)\n"
-                f"    {kind}High : LREAL := {_number(tops[kind])}; (* {unit} at {kind}RawHigh *)\n"
-            )
-        made["raw"] += f"    {name}Raw{at} : INT; (* from the card *)\n"
-        made["instances"] += f"    {name}Input : AnalogInput;\n"
-        frozen = "FrozenCalls" if kind == "Speed" else "0"
-        made["readings"] += (
-            f"{name}Input(Raw := {name}Raw, RawLow := {kind}RawLow, RawHigh := {kind}RawHigh, Low := {kind}Low, "
-            f"High := {kind}High, Drive := Command{channel}, FrozenCommand := FrozenCommand, "
-            f"FrozenCalls := {frozen}, Reset := Restart);\n"
-        )
-        made["codes"] += f"{code} {name} out of range; "
-        made["causes"] += f"IF (Cause = 50) AND {name}Input.OutOfRange THEN\n    Cause := {code};\nEND_IF;\n"
-    for channel in "12":
-        made["codes"] += f"2{channel} Speed{channel} frozen; "
-        made["causes"] += (
-            f"IF (ActiveMode > 1) AND Speed{channel}Input.Frozen THEN\n    Cause := 2{channel};\nEND_IF;\n"
-        )
+        unit, _, code, top = _KINDS[kind]
+        for part in [part for part in _PARTS if part != "ranges" or channel == "1"]:
+            made[part] += _PARTS[part].format(
+                name=name, kind=kind, channel=channel, unit=unit, code=f"{code}{channel}", full=cards.full_scale,
+                at=" AT %I*" if cards.twincat else "", low=SIGNALS[cards.signal] * cards.full_scale,
+                bottom=_number(-top(rig)), top=_number(top(rig)), calls="FrozenCalls" if kind == "Speed" else "0",
+            )  # fmt: skip
     return made
 
 
 def _call(program: Program) -> str:
     """What the block of a program is given, in SI."""
     given = [f"SpeedSetpoint := RampedSetpoint * LREAL#{RPM!r}"]
-    given += [f"{name} := {name}Input.Value * LREAL#{_UNITS[name[:-1]][1]!r}" for name in _used(program)]
-    return ", ".join(
-        [*given, "CommandInForce1 := Command1", "CommandInForce2 := Command2", "Reset := Restart"]
-    )
+    given += [f"{name} := {name}Input.Value * LREAL#{_KINDS[name[:-1]][1]!r}" for name in _used(program)]
+    given += ["CommandInForce1 := Command1", "CommandInForce2 := Command2", "Reset := Restart"]
+    return ", ".join(given)

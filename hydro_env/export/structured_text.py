@@ -40,18 +40,10 @@ INPUTS = {
 }  # fmt: skip
 #: What else the block declares.
 _OWN = (
-    "Reset",
-    "Command1",
-    "Command2",
-    "Fault",
-    "Fresh",
-    "Started",
-    "Missed",
-    "Given",
-    "Measured",
-    "HoldCalls",
-    "Index",
-)
+    "Reset", "Command1", "Command2", "Fault", "Fresh", "Started", "Missed", "Given", "Measured", "HoldCalls", "Index",
+)  # fmt: skip
+#: What a project declares beside it.
+_OTHERS = ("AnalogInput", "Controller", "Fallback", "SpeedSynchronisation", "Plc", "Main")
 
 
 def structured_text(program: Program, version: str, about: str) -> str:
@@ -69,9 +61,7 @@ def structured_text(program: Program, version: str, about: str) -> str:
         variables |= {called[name]: kind for name, kind in schedule.variables.items()}
         bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
     inputs = "".join(f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items())
-    state = "".join(
-        f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state
-    )
+    kept = [(renamed[f"s_{each.name}"], _type(each.kind, each.size)) for each in program.state]
     gathered = "".join(f"Given[{n}] := {each};\n" for n, each in enumerate(INPUTS))
     most = _literal(MAX_VALUE, "double")
     within = [f"ABS({name}) <= {most}" for name, _, _ in gains]
@@ -79,7 +69,8 @@ def structured_text(program: Program, version: str, about: str) -> str:
     checked = f"IF NOT ({' AND '.join(within)}) THEN\n    Fault := TRUE;\nEND_IF;\n" if within else ""
     samples, last = held_samples(program.period), len(MEASURED) - 1
     return template("controller.st").substitute(
-        name=block_name(program), period=repr(program.period), about=about, version=version, state=state,
+        name=block_name(program), period=repr(program.period), about=about, version=version,
+        state="".join(f"    {name} : {kind};\n" for name, kind in kept),
         inputs=inputs + "".join(declared for _, _, declared in gains),
         variables="".join(f"    {name} : {_type(*each)};\n" for name, each in variables.items()),
         constants="".join(_table(renamed[each.name], each) for each in reader.tables.values()), gathered=gathered, hold=HOLD,
@@ -88,17 +79,16 @@ def structured_text(program: Program, version: str, about: str) -> str:
 
 
 def block_name(program: Program) -> str:
-    """What the function block of a program is called."""
-    return pascal(identifier(program.name))
+    """What the function block of a program is called, so that nothing else in a project is."""
+    return Names(_OTHERS).new(pascal(program.name), "block")
 
 
 def _gains(program: Program) -> Iterator[tuple[str, tuple[str, int], str]]:
     """Of each input for a gain: its name, its leaf in the program, and its declaration."""
-    for each in program.gains:
-        gain, of_both = each.gain, len(each.values) == 1
+    for gain, values in program.gains:
         about = f"{gain.unit}, tuned from {gain.low:g} to {gain.high:g}: {gain.summary}".replace("*)", ")")
-        for n, value in enumerate(each.values):
-            name = f"{GAIN}{identifier(gain.name)}" + ("" if of_both else f"_{n + 1}")
+        for n, value in enumerate(values):
+            name = f"{GAIN}{identifier(gain.name)}" + ("" if len(values) == 1 else f"_{n + 1}")
             declared = f"    {name} : LREAL := {_literal(value, 'double')}; (* {about} *)\n"
             yield name, (GAIN + gain.name, n), declared
 

@@ -44,7 +44,7 @@ from .symbols import (
     symbols,
 )  # fmt: skip
 
-__all__ = ["GAIN", "MEASURED", "GainInput", "Program", "StateArray", "divisors", "measured_by", "trace"]
+__all__ = ["GAIN", "MEASURED", "Program", "StateArray", "divisors", "measured_by", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
@@ -66,14 +66,6 @@ class StateArray:
 
 
 @dataclass
-class GainInput:
-    """A gain that is an input: what the law says of it, and its values, one or one for each channel."""
-
-    gain: Gain
-    values: list[float]
-
-
-@dataclass
 class Program:
     """What a controller does with a sample: at the first one, and at all others.
 
@@ -84,7 +76,7 @@ class Program:
 
     name: str
     period: float
-    gains: list[GainInput] = field(default_factory=list)
+    gains: list[tuple[Gain, list[float]]] = field(default_factory=list)
     names: dict[Expr, tuple[str, int]] = field(default_factory=dict)
     state: list[StateArray] = field(default_factory=list)
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
@@ -258,22 +250,31 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
         given["command", channel] = cast(plain[channel], "double")
 
 
-def trace(controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False) -> Program:
-    """The program of a controller at a control period in s on a rig of this size; a `readable` one has the gains that are in use
-    as inputs, and names. TraceError, in one line, for what cannot be followed."""
+def trace(
+    controller: Any,
+    period: float,
+    name: str,
+    rig: Scales = PAPER,
+    readable: bool = False,
+    gains: bool = False,
+) -> Program:
+    """The program of a controller at a control period in s on a rig of this size; a `readable` one has names, and with `gains`
+    those that are in use are inputs. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
     with interned(), _named(program.names, own) if readable else nullcontext():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
-        if readable and isinstance(getattr(controller, "gains", None), dict):
+        if gains and isinstance(getattr(controller, "gains", None), dict):
             program.gains = _gains_as_inputs(controller)
         _commands(_sample(controller, rig), program.first)
         kept = _kept_by(controller)
         settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
             raise TraceError("what it keeps between samples changes its form after the first one")
-        changing = {key for key, each in kept.items() if not (each.op == "const" or _of_gains_only(each))}
+        changing = {
+            key for key, each in kept.items() if not (each.op == "const" or (gains and _of_gains_only(each)))
+        }
         while True:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
@@ -297,13 +298,11 @@ def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
         module = frame.f_globals.get("__name__", "")
         if event != "return" or frame.f_code.co_name.startswith(
             "<"
-        ):  # the variables of a comprehension say little
+        ):  # a comprehension's variables say little
             return
-        if not (module.startswith(_TRACED) or module in own):
-            return
-        for name, value in frame.f_locals.items():
-            if isinstance(value, Symbols):
-                for n, each in enumerate(value.elements()):
+        if module.startswith(_TRACED) or module in own:
+            for name, value in frame.f_locals.items():
+                for n, each in enumerate(value.elements() if isinstance(value, Symbols) else ()):
                     names.setdefault(each, (name, n if value.size > 1 else -1))
 
     before = sys.getprofile()
@@ -314,8 +313,8 @@ def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
         sys.setprofile(before)
 
 
-def _gains_as_inputs(controller: Any) -> list[GainInput]:
-    """Puts leaves in the place of the gains that are in use, one or one for each channel; what these are."""
+def _gains_as_inputs(controller: Any) -> list[tuple[Gain, list[float]]]:
+    """Puts leaves in the place of the gains that are in use, one or one for each channel; these gains with their values."""
     given, made = dict(controller.gains_given()), []
     for gain in controller.GAINS:
         values = np.asarray(given[gain.name])
@@ -323,7 +322,7 @@ def _gains_as_inputs(controller: Any) -> list[GainInput]:
             continue
         leaves = [leaf(GAIN + gain.name, n, "double") for n in range(values.size)]
         given[gain.name] = symbols(leaves, values.shape)
-        made.append(GainInput(gain, values.reshape(-1).tolist()))
+        made.append((gain, values.reshape(-1).tolist()))
     controller.gains = controller.converted(given)
     return made
 

@@ -325,6 +325,23 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert np.abs(episode(act, "setpoint_steps", "paper_dead_zone", "train") - expected).max() < 1e-12
 
 
+def test_a_law_that_decides_by_a_gain_has_it_built_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("law.py").write_text(
+        OWN_LAW.replace("return self", "return measured.speed if float(self.gains['Ki']) > 5.0 else self")
+    )
+    spec = "law.py:Mine:Kp=0.3,Ki=0.5"
+    st_file(spec, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    controller = make_controller(spec)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    (file,) = tmp_path.glob("*.st")
+    got = episode(InText(tmp_path, file.stem), "setpoint_steps", "paper_dead_zone", "train")
+    assert "Gain_" not in file.read_text() and np.abs(got - expected).max() < 1e-12
+
+
 @needs_compiler
 def test_gains_are_exported_for_the_rig_that_they_were_tuned_on(tmp_path: Path) -> None:
     """Its rated command and the scales of its observations are those that are built in."""

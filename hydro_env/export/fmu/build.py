@@ -95,7 +95,8 @@ def export_fmu(
         if not platforms and not binaries:
             missing.append(f"{sys.platform} on {platform.machine()} in FMI {version}.0")
     note = "" if not missing else (
-        "no C compiler was found (cc, gcc, clang or $CC)" if not compilers else f"no binary for {', '.join(missing)}"
+        "no C compiler was found (cc, gcc, clang or $CC)" if find_compiler() is None and not compilers
+        else f"no binary for {', '.join(missing)}"
     )  # fmt: skip
     if note:
         note = f"{note}: what has no binary holds the C source only, for tools that compile it"
@@ -109,20 +110,15 @@ def export_fmu(
 
 def _compilers(platforms: tuple[str, ...]) -> dict[str, list[str]]:
     """The command of a compiler for each platform; for this machine, if there is one, where none is named."""
-    here = next(
-        (name for name, each in PLATFORMS.items() if each[0] == (sys.platform, platform.machine())), ""
-    )
-    found: dict[str, list[str]] = {}
-    for name in platforms or (here,):
-        own = find_compiler() if name == here else None
-        if own is not None:
-            found[name] = own
-        elif platforms:
-            if name not in PLATFORMS:
-                raise InputError(f"--platform is {name!r}: {suggestion(name, PLATFORMS)}")
-            if importlib.util.find_spec("ziglang") is None:
-                raise InputError(f"--platform {name} needs the compiler Zig: {to_install('windows')}")
-            found[name] = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name][4]]
+    machine = sys.platform, platform.machine()
+    own = {name: find_compiler() for name, each in PLATFORMS.items() if each[0] == machine}
+    found = {name: command for name, command in own.items() if command and name in (platforms or own)}
+    for name in platforms:
+        if name not in PLATFORMS:
+            raise InputError(f"--platform is {name!r}: {suggestion(name, PLATFORMS)}")
+        if name not in found and importlib.util.find_spec("ziglang") is None:
+            raise InputError(f"--platform {name} needs the compiler Zig: {to_install('windows')}")
+        found.setdefault(name, [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name][4]])
     return found
 
 
