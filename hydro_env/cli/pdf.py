@@ -7,19 +7,20 @@ from typing import Annotated
 
 from typer import Argument
 
+from hydro_env.cli.options import Out, writing
+
 __all__ = ["pdf"]
 
 
 def pdf(
-    pages: Annotated[
-        list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")
-    ],
-) -> None:
+    out: Out, pages: Annotated[list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")]
+) -> None:  # fmt: skip
     """Print pages of results as PDF.
 
-    PAGE.pdf is written beside each page, by Chromium, Chrome or Edge, whichever is found, or by $CHROME.
+    PAGE.pdf for each, printed by Chromium, Chrome or Edge, whichever is found, or by $CHROME.
     """
-    from hydro_env.pages.pdf import to_pdf
+    with writing(out) as folder:
+        from hydro_env.pages.pdf import to_pdf
 
-    for page in pages:
-        print(f"Written: {to_pdf(page)}")
+        for page in pages:
+            to_pdf(page, folder)

@@ -34,8 +34,8 @@ _PLACES = (
 _LIMIT, _SCRIPT = 120.0, 10_000
 
 
-def to_pdf(page: Path) -> Path:
-    """Prints a page to a PDF beside it, of the same name, and returns that. InputError if there is no such page or no browser
+def to_pdf(page: Path, folder: Path) -> Path:
+    """Prints a page to a PDF of its name in a folder, and returns that. InputError if there is no such page or no browser
     ($CHROME, else Chromium, Chrome or Edge), and if the browser fails."""
     if page.suffix.lower() not in (".html", ".htm") or not page.is_file():
         raise InputError(f"{page}: is no file of a page; one that ends with .html is right")
@@ -58,7 +58,7 @@ def to_pdf(page: Path) -> Path:
         if not made.is_file():
             said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
             raise InputError(f"{page}: {command[0]} does not print it: {said[-1]}")
-        target = page.with_suffix(".pdf")
+        target = folder / f"{page.stem}.pdf"
         write_bytes(target, made.read_bytes())
     return target
 
