@@ -25,12 +25,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents import ppo_single
 from agents.cloning import clone
+from agents.command import run_command
 from agents.line_to_beat import ladder, report
 from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
 from hydro_env.controllers.learned.sb3_policy import Sb3Policy
-from hydro_env.errors import run_command
 from hydro_env.limits import Limits
-from hydro_env.training.config import read_config, with_changes
+from hydro_env.training.config import POLICY, read_config, with_changes
 from hydro_env.training.recipes import recipe
 from hydro_env.training.train import make_model
 
@@ -117,7 +117,7 @@ def make(agent: Agent, steps: int, seed: int) -> tuple[BaseAlgorithm, FramesInte
     library, _, kind = agent.algorithm.partition(".")
     algorithm = getattr(import_module(library), kind)
     config = with_changes(read_config(recipe(agent.recipe)), steps=steps, seed=seed)
-    settings, policy = dict(config.hyper) if agent.tuned else {}, config.policy
+    settings, policy = dict(config.hyper) if agent.tuned else {}, POLICY
     if kind.startswith("Recurrent"):
         settings["policy_kwargs"] = {**settings["policy_kwargs"], "lstm_hidden_size": 64}
         policy = "MlpLstmPolicy"

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.command import run_command
 from hydro_env.benchmark.statistics import cvar, iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 from hydro_env.training.evaluate import METRICS
 

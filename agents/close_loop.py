@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agents.command import run_command
 from hydro_env.controllers.learned.policy import NumpyPolicy
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.close_loop_summary import SOURCES, collect, summary
 from hydro_env.experiments.closed_loop_reference import drive
@@ -65,7 +66,7 @@ def run(
     `rigs` is the folder that `hydro-env close-loop` wrote. InputError if it is not, or if `out` holds trainings of another
     training file or other models.
     """
-    data = close_loop.read(rigs)
+    data = _read(rigs)
     texts = {(w.rig, w.source): _text(rigs, w) for w in work_of(data)}
     (out / "drives").mkdir(parents=True, exist_ok=True)
     others = [s for s in data["scores"] if s["controller"] != NAME or s["tuned_on"] == "none"]
@@ -108,6 +109,21 @@ def run(
             data = {**data, "agent": training, "scores": scores, "summary": collect(scores)}
             close_loop.write(out, data, pictures)
     return data
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    """What `write` wrote. InputError if there is no such result."""
+    what = f"a result of `hydro-env close-loop --out {folder}`"
+    files = folder / "close_loop.json", folder / "traces.json"
+    data, traces = (read_json(file, what, max_bytes=MAX_BYTES_OF_RESULTS) for file in files)
+    if not isinstance(data, dict) or data.get("schema") != close_loop.SCHEMA:
+        raise InputError(f"{folder / 'close_loop.json'}: its schema should be {close_loop.SCHEMA!r}")
+    kept = {_of(s): s for s in traces}
+    return {**data, "scores": [kept.get(_of(s), s) for s in data["scores"]]}
+
+
+def _of(row: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(row[key] for key in ("controller", "tuned_on", "rig", "scenario"))
 
 
 def _text(rigs: Path, work: Work) -> str:

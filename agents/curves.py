@@ -16,8 +16,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from agents.command import run_command
 from agents.recurrent.settings import read_settings
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.training.config import read_config

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import torch
 
+from agents.command import run_command
 from hydro_env.controllers.learned.policy_interface import make_interface
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.export.onnx import export_onnx
 from hydro_env.pickles import distrust
 from hydro_env.training.config import read_config

@@ -47,7 +47,7 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
         rows["speed"].append(info["speed_rpm"][0].copy())
         action = controller.act(observation)
         edge = np.full((2, 2), np.nan)
-        if isinstance(controller, ProbingFlow) and controller.law is not None:
+        if isinstance(controller, ProbingFlow) and hasattr(controller, "law"):
             edge = controller.law.estimator.valves.state.edge[0].copy()
         rows["edge"].append(edge)
         rows["command"].append(np.array(action[0]))

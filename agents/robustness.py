@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from agents.command import run_command
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import SIGNALS
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
 from hydro_env.limits import Limits
 from hydro_env.plant import Plant, load_model

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from hydro_env.errors import InputError, run_command, to_install
+from agents.command import run_command
+from hydro_env.errors import InputError, to_install
 from hydro_env.limits import SEEDS, Limits
 from hydro_env.reading import read_yaml
 from hydro_env.training.config import ENV_ID, read_config

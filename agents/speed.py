@@ -19,9 +19,10 @@ from pathlib import Path
 
 import torch
 
+from agents.command import run_command
 from agents.recurrent.__main__ import STAGES, Run
 from agents.recurrent.settings import Settings, read_settings
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.limits import CORES, Limits
 from hydro_env.parallel import Failure, as_done
 

@@ -22,10 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from agents.command import run_command
 from hydro_env.benchmark.statistics import bootstrap_interval, iqm
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, SEEDS, Limits
 from hydro_env.parallel import ENGINES, Failure, check_engine, run

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.bench_map import ValveMap
 from hydro_env.controllers.estimation.nominal import RATED_FLOW
-from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.plant import Plant
 
 __all__ = ["true_map"]

@@ -51,7 +51,7 @@ EVALUATION = "test_interp"
 AT_ONCE = 100
 #: HDF5 takes half as much again as the arrays themselves; as a whole number to be safe. Bytes of one write.
 HDF5_OVERHEAD, BLOCK = 2, 2**20
-#: What is kept of the environment's `info` beside the true signals; costs begin with the first step.
+#: What is kept of the environment's `info` beside the true signals.
 COSTS = ("cost_difference", "cost_travel")
 
 
@@ -223,9 +223,7 @@ def _episodes(
     observations = np.array([step.observation for step in kept])
     actions = np.array([step.action for step in steps], np.float32)
     rewards = np.array([step.reward for step in steps])
-    signals = {key: np.array([step.info[key] for step in kept]) for key in SIGNALS}
-    for key in COSTS:
-        signals[key] = np.array([np.zeros(len(seeds)), *(step.info[key] for step in steps)])
+    signals = {key: np.array([step.info[key] for step in kept]) for key in (*SIGNALS, *COSTS)}
     last = np.arange(len(rewards)) == len(rewards) - 1
     buffers = [
         EpisodeBuffer(

@@ -1,4 +1,4 @@
-"""The one error that users' input can cause, what it says of a name that nobody knows, and how a command ends by it."""
+"""The one error that users' input can cause, what it says of a name that nobody knows, and how signals stop a command."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import threading
 import traceback
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,7 +17,6 @@ __all__ = [
     "InputWarning",
     "nearest",
     "place_of",
-    "run_command",
     "shown",
     "stopped_by_signals",
     "suggestion",
@@ -162,22 +161,3 @@ def stopped_by_signals() -> Iterator[list[int]]:
         sys.unraisablehook = unraisable
         for number, action in ours.items():
             signal.signal(number, action)
-
-
-def run_command(work: Callable[[], None]) -> None:
-    """Runs what a command of `python -m` does: bad input or a full disk end it with one line and status 2, Ctrl-C with 130,
-    SIGTERM with 143."""
-    signals: list[int] = []
-    try:
-        with stopped_by_signals() as signals:
-            work()
-    except InputError as problem:
-        print(f"error: {problem}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except OSError as problem:
-        where = f"{problem.filename}: " if problem.filename else ""
-        print(f"error: {where}{problem.strerror or problem}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on with what is not finished", file=sys.stderr)
-        raise SystemExit(128 + signals[0] if signals else 130) from None

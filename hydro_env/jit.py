@@ -36,7 +36,7 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["compiled", "keep", "kept", "removed_if_damaged"]
+__all__ = ["compiled", "keep", "kept", "removed_if_damaged", "sources_of_room"]
 
 MAX_BYTES = 1 << 30
 """Machine code to keep. All tests together compile a fifth of it; beyond that the oldest is removed."""
@@ -48,7 +48,7 @@ def compiled(function: Callable[..., Any], *, nogil: bool = False) -> Callable[.
     folder = _folder()
     if folder is None:
         return numba.njit(**options)(function)
-    others = repr([_room(function.__code__.co_filename), *_held(function)])
+    others = repr([sources_of_room(function.__code__.co_filename), *_held(function)])
     others = hashlib.sha256(others.encode()).hexdigest()[:16]
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder / others)
     try:
@@ -58,7 +58,7 @@ def compiled(function: Callable[..., Any], *, nogil: bool = False) -> Callable[.
 
 
 @cache
-def _room(file: str) -> str:
+def sources_of_room(file: str) -> str:
     """Hash of the sources of the room of this package that a file belongs to: named tuples and settings that functions take from
     its other files, which Numba knows by the names of their classes alone."""
     here, path = Path(__file__).parent, Path(file)

@@ -16,7 +16,7 @@ from gymnasium import Wrapper, spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .envs.batch import HydraulicSyncVectorEnv
+from .envs.batch import HydraulicSyncVectorEnv, row_of
 from .errors import suggestion, to_install
 
 try:
@@ -54,22 +54,16 @@ class HydraulicSyncVecEnv(VecEnv):
         """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any. As
         Stable-Baselines3 has it, the options hold for this episode, and not for those after it."""
         seeds = self._seeds if any(each is not None for each in self._seeds) else None
-        groups: dict[int, list[int]] = {}  # rows with the same options, by the first of them
+        groups: dict[int, list[int]] = {}  # rows with the same options
         for row, options in enumerate(self._options):
-            first = next(
-                n for n, known in enumerate(self._options) if known is options or not (known or options)
-            )
-            groups.setdefault(first, []).append(row)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
-        for first, rows in groups.items():
+            groups.setdefault(id(options) if options else 0, []).append(row)
+        for rows in groups.values():
             mask = np.isin(np.arange(self.num_envs), rows)
-            seen, info = self.batch.reset(seed=seeds, options={**self._options[first], "reset_mask": mask})
-            observation[rows] = seen[rows]
+            options = {**self._options[rows[0]], "reset_mask": mask}
+            observation, info = self.batch.reset(seed=seeds, options=options)  # of all rows
             for row in rows:
-                infos[row] = _row(info, row)
+                self.reset_infos[row] = row_of(info, row)
         self.batch.use_options()
-        self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
         return observation
@@ -86,7 +80,7 @@ class HydraulicSyncVecEnv(VecEnv):
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         ended = terminated | truncated
         if self.info == "all":
-            infos = [_row(info, row) for row in range(self.num_envs)]
+            infos = [row_of(info, row) for row in range(self.num_envs)]
         elif self.batch.privileged is not None:
             infos = [{"privileged": row} for row in info["privileged"]]
         else:
@@ -94,11 +88,11 @@ class HydraulicSyncVecEnv(VecEnv):
         if ended.any():
             for row in np.flatnonzero(ended).tolist():
                 infos[row] = {
-                    **_row(info["final_info"], row),
+                    **row_of(info["final_info"], row),
                     "terminal_observation": info["final_obs"][row],
                     "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
                 }
-                self.reset_infos[row] = _row(info, row)
+                self.reset_infos[row] = row_of(info, row)
         return observation, reward.astype(np.float32), ended, infos
 
     def close(self) -> None:
@@ -151,16 +145,3 @@ class HydraulicSyncVecEnv(VecEnv):
         """A picture of each row, if `render_mode` is "rgb_array"."""
         frames = self.batch.render()
         return [None] * self.num_envs if frames is None else list(frames)
-
-
-def _row(info: dict[str, Any], row: int) -> dict[str, Any]:
-    """What a batch's info says of one row."""
-    own: dict[str, Any] = {}
-    for key, value in info.items():
-        if key.startswith("_") or key in ("final_obs", "final_info") or not info["_" + key][row]:
-            continue
-        if isinstance(value, dict):
-            own[key] = _row(value, row)
-        else:
-            own[key] = value[row].copy() if value.ndim > 1 else value[row]
-    return own

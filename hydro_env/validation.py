@@ -67,7 +67,7 @@ class FileTable(BaseModel):
     @classmethod
     def known_keys(cls) -> Collection[str]:
         """The keys that the table may have."""
-        return cls.model_fields
+        return [field.alias or name for name, field in cls.model_fields.items()]
 
     @model_validator(mode="before")
     @classmethod

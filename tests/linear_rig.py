@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit
+from hydro_env.diagnosis.estimation.gauss_newton import solve
+from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.plant import PARAMETERS, PlantModel, load_model
 

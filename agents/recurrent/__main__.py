@@ -28,12 +28,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from agents.command import run_command
 from agents.recurrent.imitation import NOTES, ImitationStage
 from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN
 from agents.recurrent.settings import MILLION, Settings, Training, read_settings
 from agents.recurrent.simulator_gradient import GradientStage
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.files import naming, write_bytes
 from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import write_policy

@@ -57,7 +57,14 @@ class Teacher:
 
     def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:
         """Begins anew with the first observations (n, 9) of some rigs."""
-        self._law.restart(rigs, decode(observation))
+        if not rigs.size:
+            return
+        begun = FlowController(LAW)
+        begun.start(decode(observation), self._law.period)
+        if rigs.size == len(self._law.sent):
+            self._law = begun
+        else:
+            _put(self._law, rigs, begun)
 
     def notes(self) -> NDArray[np.float64]:
         """What the law knows, (num_rigs, NOTES), scaled to about one: spools, loads, speeds, reference, phase."""
@@ -72,6 +79,21 @@ class Teacher:
             ],
             axis=1,
         )  # fmt: skip
+
+
+def _put(into: Any, rigs: NDArray[np.int64], part: Any) -> None:
+    """Puts what `part` keeps of some rigs, fewer than all, in their place: the axis of rigs of an array is the one whose lengths
+    differ."""
+    if isinstance(into, np.ndarray):
+        differ = np.flatnonzero(np.not_equal(into.shape, part.shape))
+        for axis in differ:
+            into[(*[slice(None)] * axis, rigs)] = part
+    elif isinstance(into, list | tuple):
+        for own, other in zip(into, part, strict=True):
+            _put(own, rigs, other)
+    elif hasattr(into, "__dict__"):
+        for name, own in vars(into).items():
+            _put(own, rigs, getattr(part, name))
 
 
 class PiTeacher:

@@ -27,7 +27,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.errors import InputError, run_command
+from agents.command import run_command
+from hydro_env.errors import InputError
 from hydro_env.files import write_text
 from hydro_env.plant import (
     BUILT_IN,

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from agents.command import run_command
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.search import Search, Task
 from hydro_env.controllers.tuning.tune import run as tune
-from hydro_env.errors import run_command
 from hydro_env.files import write_json
 from hydro_env.limits import Limits
 from hydro_env.plant import PlantModel

@@ -31,9 +31,10 @@ import gymnasium
 import numpy as np
 import yaml
 
+from agents.command import run_command
 from hydro_env.cli.main import run as hydro_env
 from hydro_env.diagnosis import diagnose
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import SEEDS, Limits

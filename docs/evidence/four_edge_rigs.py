@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.command import run_command
 from hydro_env.diagnosis import diagnose
-from hydro_env.errors import run_command
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import CORES, SEEDS

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from agents.command import run_command
 from hydro_env.diagnosis import Diagnosis, diagnose
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError
 from hydro_env.experiments import valve_test
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, RC, png

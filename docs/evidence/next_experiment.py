@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
+from agents.command import run_command
 from hydro_env.diagnosis import Diagnosis, Settings, diagnose
 from hydro_env.diagnosis.experiment_design import SECONDS, commands_csv, random_design
 from hydro_env.diagnosis.stages.next_experiment import max_load
-from hydro_env.errors import run_command
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import CORES, SEEDS, Limits

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from agents.command import run_command
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import run_command
 from hydro_env.experiments.speed import commands
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, RC, png

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, summarise
+from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, scaled, summarise
 from hydro_env.benchmark.suite import Suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import make_controller, source_of
@@ -31,7 +31,7 @@ from hydro_env.tasks import METRICS, Metric, Trace, never_settled
 from hydro_env.tasks.metrics import IDLE
 
 __all__ = [
-    "BASELINE", "BOUND", "SCORE", "Cell", "Conditions", "cells_of", "drive", "overall", "score_ends", "with_summaries",
+    "BASELINE", "BOUND", "SCORE", "Cell", "Conditions", "by_name", "cells_of", "drive", "overall", "score_ends", "with_summaries",
 ]  # fmt: skip
 
 BASELINE = "pid_tuned"
@@ -87,6 +87,16 @@ class Cell:
     trust: bool = False
     note: str = ""
 
+    @property
+    def place(self) -> tuple[str, str]:
+        """Split and scenario."""
+        return self.split, self.scenario
+
+    @property
+    def about(self) -> dict[str, str]:
+        """Whose it is and where, as tables have it."""
+        return {"controller": self.name, "split": self.split, "scenario": self.scenario}
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -134,6 +144,14 @@ def cells_of(specs: Sequence[Any], suite: Suite, trust: bool) -> Iterator[Cell]:
                 yield Cell(
                     portable, name, split, scenario, cases, suite.first, needs=needs, plant=plant, trust=trust
                 )
+
+
+def by_name(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
+    """The cells of each controller."""
+    found: dict[str, list[Cell]] = {}
+    for cell in cells:
+        found.setdefault(cell.name, []).append(cell)
+    return found
 
 
 def _text(spec: Any, key: str, value: Any) -> str:
@@ -230,12 +248,11 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
 
 def with_summaries(cell: Cell) -> Cell:
     """The cell with what the values of each metric come to; resamples keep the share of each fault."""
-    of = {METRICS[name].of: METRICS[name] for name in cell.metrics}  # one metric has two names
-    once = {
-        law: summarise(cell.metrics[metric.name], strata=cell.faults, more=metric.more)
-        for law, metric in of.items()
+    summaries = {
+        name: summarise(values, strata=cell.faults, more=METRICS[name].more)
+        for name, values in cell.metrics.items()
     }
-    return replace(cell, summaries={name: once[METRICS[name].of] for name in cell.metrics})
+    return replace(cell, summaries=summaries)
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
@@ -271,17 +288,16 @@ def _thinned(trace: Trace, case: int) -> dict[str, Any]:
 def score_ends(cells: Iterable[Cell]) -> dict[tuple[str, str], tuple[float, float]]:
     """Returns that are 0 and 100 of the score, by split and scenario, where their intervals lie apart: elsewhere there is nothing
     to gain that the number of cases can tell from nothing."""
-    returns = {
-        (cell.split, cell.scenario, cell.name): cell.summaries[RETURN]
-        for cell in cells
-        if cell.metrics and cell.name in (BASELINE, BOUND)
+    own = [cell for cell in cells if cell.metrics]
+    lows, highs = (
+        {cell.place: cell.summaries[RETURN] for cell in own if cell.name == name}
+        for name in (BASELINE, BOUND)
+    )
+    return {
+        place: (low.iqm, highs[place].iqm)
+        for place, low in lows.items()
+        if place in highs and low.ci95[1] < highs[place].ci95[0]
     }
-    found = {}
-    for split, scenario, _ in returns:
-        low, high = (returns.get((split, scenario, name)) for name in (BASELINE, BOUND))
-        if low is not None and high is not None and low.ci95[1] < high.ci95[0]:
-            found[split, scenario] = low.iqm, high.iqm
-    return found
 
 
 def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, float]]) -> dict[str, Summary]:
@@ -291,20 +307,25 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
         return {}
     # The same pairs of valves drive all scenarios of a split: resampled together, or the interval would be too narrow.
     seeds = [sorted({cell.split for cell in cells}).index(cell.split) for cell in cells]
-    found = {
-        name: mean_of(
-            [cell.summaries[name] for cell in cells],
-            [(cell.metrics[name], cell.faults, seed) for cell, seed in zip(cells, seeds, strict=True)],
-        )
+    parts = {
+        name: [(cell.summaries[name], cell.metrics[name]) for cell in cells]
         for name in (TRACE_METRIC, TRACKING)
     }
-    if all((cell.split, cell.scenario) in ends for cell in cells):
-        of_cells = [(cell, *ends[cell.split, cell.scenario]) for cell in cells]
-        found[SCORE.name] = mean_of(
-            [normalised(cell.summaries[RETURN], (low, high)) for cell, low, high in of_cells],
+    if all(cell.place in ends for cell in cells):
+        parts[SCORE.name] = [
+            (
+                normalised(cell.summaries[RETURN], ends[cell.place]),
+                scaled(cell.metrics[RETURN], ends[cell.place]),
+            )
+            for cell in cells
+        ]
+    return {
+        name: mean_of(
+            [summary for summary, _ in of_cells],
             [
-                (100.0 * ((cell.metrics[RETURN] - low) / (high - low)), cell.faults, seed)
-                for (cell, low, high), seed in zip(of_cells, seeds, strict=True)
+                (values, cell.faults, seed)
+                for (_, values), cell, seed in zip(of_cells, cells, seeds, strict=True)
             ],
         )
-    return found
+        for name, of_cells in parts.items()
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -19,6 +19,7 @@ from hydro_env.benchmark.cells import (
     TRACE_METRIC,
     Cell,
     Conditions,
+    by_name,
     cells_of,
     drive,
     overall,
@@ -131,17 +132,14 @@ def _specs(controllers: Sequence[Any]) -> list[Any]:
 
 
 def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str, Any]:
-    names = list(dict.fromkeys(cell.name for cell in cells))
+    cells_by_name = by_name(cells)
+    names = [*cells_by_name]
     baseline = BASELINE if BASELINE in names else names[0]
-    summaries = {
-        (cell.name, cell.split, cell.scenario, metric): cell.summaries[metric]
-        for cell in cells
-        for metric in (suite.metrics if cell.metrics else ())
-    }
-    ends = score_ends(cells)
-    for cell in cells:
-        if cell.metrics and (place := (cell.split, cell.scenario)) in ends:
-            summaries[cell.name, *place, SCORE.name] = normalised(cell.summaries[RETURN], ends[place])
+    ends, scored = score_ends(cells), [cell for cell in cells if cell.metrics]
+    rows = [(cell, metric, cell.summaries[metric]) for cell in scored for metric in suite.metrics]
+    for cell in scored:
+        if cell.place in ends:
+            rows.append((cell, SCORE.name, normalised(cell.summaries[RETURN], ends[cell.place])))
     plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
     drawn = {split: _drawn_over(plant, split) for split in suite.splits if split != OWN}
@@ -165,33 +163,29 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "own_plant": {cell.name: cell.plant for cell in cells if cell.plant is not None},
         "baseline": baseline,
         "bound": BOUND if BOUND in names else None,
-        "rows": [{**_place(*key), **s.row} for key, s in summaries.items()],
-        "failed": _told(cells, "reason", lambda cell: cell.failure),
-        "never_settled": _told(cells, "cases", lambda cell: cell.unsettled),
-        "idle": _told(cells, "idle", lambda cell: cell.idle),
-        "decision_us": {name: _decision_us(cells, name) for name in names},
-        "notes": _told(cells, "note", lambda cell: cell.note),
+        "rows": [{**cell.about, "metric": metric, **s.row} for cell, metric, s in rows],
+        "failed": _told(cells, "reason", "failure"),
+        "never_settled": _told(cells, "cases", "unsettled"),
+        "idle": _told(cells, "idle", "idle"),
+        "decision_us": {name: _decision_us(own) for name, own in cells_by_name.items()},
+        "notes": _told(cells, "note", "note"),
         "improvement": _improvement(cells, suite, baseline),
         "overall": [
             {"controller": name, "metric": metric, **s.row}
-            for name in names
-            for metric, s in overall([cell for cell in cells if cell.name == name], ends).items()
+            for name, own in cells_by_name.items()
+            for metric, s in overall(own, ends).items()
         ],
     }
 
 
-def _decision_us(cells: Iterable[Cell], name: str) -> float:
+def _decision_us(cells: Iterable[Cell]) -> float:
     """The median time that a controller takes for a rig and a command, us."""
-    return round(1e6 * float(np.median([cell.decision_s for cell in cells if cell.name == name])), 2)
+    return round(1e6 * float(np.median([cell.decision_s for cell in cells])), 2)
 
 
-def _told(cells: list[Cell], key: str, of: Callable[[Cell], Any]) -> list[dict[str, Any]]:
-    """What there is to be told of cells, under `key`, each with its place."""
-    return [
-        {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, key: value}
-        for cell in cells
-        if (value := of(cell))
-    ]
+def _told(cells: list[Cell], key: str, of: str) -> list[dict[str, Any]]:
+    """What there is to be told of cells, their field `of`, under `key`, each with its place."""
+    return [{**cell.about, key: value} for cell in cells if (value := getattr(cell, of))]
 
 
 def _drawn_over(plant: Any, split: str) -> list[str]:
@@ -220,30 +214,23 @@ def _unscored(cells: list[Cell], ends: Mapping[tuple[str, str], Any]) -> str:
     missing = [name for name in (BASELINE, BOUND) if name not in {cell.name for cell in cells}]
     if missing:
         return f" No {SCORE.title}: {' and '.join(missing)} did not take part."
-    places = {
-        f"{each.split} {each.scenario}": None for each in cells if (each.split, each.scenario) not in ends
-    }
+    places = dict.fromkeys(" ".join(cell.place) for cell in cells if cell.place not in ends)
     why = f"where {BASELINE} or {BOUND} failed or their intervals of the return touch"
     return f" No {SCORE.title} in {', '.join(places)}, {why}." if places else ""
 
 
-def _place(controller: str, split: str, scenario: str, metric: str) -> dict[str, str]:
-    return {"controller": controller, "split": split, "scenario": scenario, "metric": metric}
-
-
 def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[str, Any]]:
     """How probably each cell's controller does better than the baseline on the same case."""
-    theirs = {(cell.split, cell.scenario): cell for cell in cells if cell.name == baseline}
+    theirs = {cell.place: cell.metrics for cell in cells if cell.name == baseline}
     rows: list[dict[str, Any]] = []
     for cell in cells:
-        other = theirs[cell.split, cell.scenario]
-        if cell.name == baseline or not cell.metrics or not other.metrics:
+        if cell.name == baseline or not cell.metrics or not theirs[cell.place]:
             continue
         for metric in suite.metrics:
             sign = -1.0 if METRICS[metric].more else 1.0
-            chance = probability_of_improvement(sign * cell.metrics[metric], sign * other.metrics[metric])
-            place = _place(cell.name, cell.split, cell.scenario, metric)
-            rows.append({**place, "over": baseline, "probability": chance})
+            costs = sign * cell.metrics[metric], sign * theirs[cell.place][metric]
+            chance = probability_of_improvement(*costs)
+            rows.append({**cell.about, "metric": metric, "over": baseline, "probability": chance})
     return rows
 
 

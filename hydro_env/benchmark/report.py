@@ -6,12 +6,11 @@ Pareto front (synchronisation error over tracking error) and the typical and the
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.resources import files
 from typing import Any
 
 from hydro_env import __version__
-from hydro_env.benchmark.cells import SCORE, SCORED
+from hydro_env.benchmark.cells import SCORE, SCORED, TRACE_METRIC
 from hydro_env.pages import fill
 
 __all__ = ["privileged_information", "scores_page", "scores_table"]
@@ -29,37 +28,26 @@ def scores_table(scores: dict[str, Any]) -> str:
     """One block per split and scenario, one line per controller, one column per metric: interquartile
     means.
     """
-    columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
-    cells = {(r["split"], r["scenario"], r["controller"], r["metric"]): r for r in scores["rows"]}
-    idle = {(f["split"], f["scenario"], f["controller"]) for f in scores["idle"]}
-    failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
-    done = [(r["split"], r["scenario"]) for r in scores["rows"]]
-    blocks = list(dict.fromkeys(done + [(f["split"], f["scenario"]) for f in scores["failed"]]))
-    extras = {**_extras(scores), **_never(scores)}
-    width = max([len(name + IDLE) for name in scores["controllers"]])
+    columns = [*_columns(scores), BETTER]
+    texts = _texts(scores)
+    idle = {_place(each) for each in scores["idle"]}
+    failed = {_place(each): each["reason"] for each in scores["failed"]}
+    cases: dict[tuple[str, ...], int] = {}
+    for each in (*scores["rows"], *scores["failed"]):
+        cases.setdefault(_place(each)[:2], each.get("n", 0))
+    width = max(len(name + IDLE) for name in scores["controllers"])
     lines = []
-    for split, scenario in blocks:
-        counts = [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)]
-        n = max(counts, default=0)
-        lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
-        texts = {
-            name: [
-                extras.get((split, scenario, name, metric))
-                or _cell(cells.get((split, scenario, name, metric)))
-                for metric in columns
-            ]
-            + [extras.get((split, scenario, name, what), "-") for what in EXTRAS]
-            for name in scores["controllers"]
-            if (split, scenario, name) not in failed
-        }
-        heads = [_short(metric) for metric in columns] + list(EXTRAS)
-        columns_of = zip(heads, *texts.values(), strict=True)
-        wide = [2 + max(len(text) for text in column) for column in columns_of]
+    for block, n in cases.items():
+        places = [(*block, name) for name in scores["controllers"]]
+        rows = {place: [texts.get((*place, what), "-") for what in columns] for place in places}
+        heads = [_short(metric) for metric in columns]
+        ran = (row for place, row in rows.items() if place not in failed)
+        wide = [2 + max(map(len, column)) for column in zip(heads, *ran, strict=True)]
+        lines.append(f"\n{' / '.join(block)}, {n} cases: interquartile mean and its 95 % interval")
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
-        for name in sorted(scores["controllers"], key=lambda name: (split, scenario, name) in idle):
-            ran = name in texts
-            row = _row(texts[name], wide) if ran else f"  failed: {failed[split, scenario, name]}"
-            lines.append("  " + (name + IDLE * ((split, scenario, name) in idle)).ljust(width) + row)
+        for place in sorted(places, key=idle.__contains__):
+            row = f"  failed: {failed[place]}" if place in failed else _row(rows[place], wide)
+            lines.append("  " + (place[-1] + IDLE * (place in idle)).ljust(width) + row)
     lines += _overall(scores, width)
     return "\n".join(lines).lstrip("\n")
 
@@ -76,37 +64,36 @@ def _overall(scores: dict[str, Any], width: int) -> list[str]:
     return lines
 
 
-def _distinct(metrics: Iterable[str]) -> list[str]:
-    """The metrics without those that are another one under a second name."""
-    return list(
-        {(SCORED[name].of, SCORED[name].more and name): name for name in reversed(list(metrics))}.values()
-    )[::-1]
+def _columns(scores: dict[str, Any]) -> list[str]:
+    """The metrics of the rows without those that are another one under a second name."""
+    names = dict.fromkeys(row["metric"] for row in scores["rows"])
+    first = {(SCORED[name].of, SCORED[name].more and name): name for name in reversed(names)}
+    return list(first.values())[::-1]
 
 
-EXTRAS = ("better",)
+BETTER = "better"
 """Of the peak synchronisation error: the probability of improvement."""
 IDLE = " (idle)"
 """Beside the name of a controller that hardly moves the motors."""
-
-
-def _extras(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
-    return {
-        (entry["split"], entry["scenario"], entry["controller"], EXTRAS[0]): f"{entry['probability']:.0%}"
-        for entry in scores["improvement"]
-        if entry["metric"] == "max_speed_difference_rpm"
-    }
-
-
 SETTLING = "sync_settling_time_s"
 
 
-def _never(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
-    """What stands for a settling time where no case settled: the number would be the length of the episode."""
-    return {
-        (entry["split"], entry["scenario"], entry["controller"], SETTLING): "never settled"
-        for entry in scores["never_settled"]
-        if entry["cases"] == scores["splits"][entry["split"]]
-    }
+def _place(entry: dict[str, Any]) -> tuple[str, str, str]:
+    return entry["split"], entry["scenario"], entry["controller"]
+
+
+def _texts(scores: dict[str, Any]) -> dict[tuple[str, ...], str]:
+    """What stands in the table, by split, scenario, controller and column."""
+    texts = {(*_place(row), row["metric"]): _cell(row) for row in scores["rows"]}
+    for entry in scores["improvement"]:
+        if entry["metric"] == TRACE_METRIC:
+            texts[*_place(entry), BETTER] = f"{entry['probability']:.0%}"
+    for entry in scores["never_settled"]:
+        if (
+            entry["cases"] == scores["splits"][entry["split"]]
+        ):  # the number would be the length of the episode
+            texts[*_place(entry), SETTLING] = "never settled"
+    return texts
 
 
 def _row(texts: list[str], widths: list[int]) -> str:
@@ -127,9 +114,7 @@ def _short(metric: str) -> str:
     return f"{head.replace('_', ' ')}, {unit}" if unit in ("rpm", "s", "deg") else metric.replace("_", " ")
 
 
-def _cell(row: dict[str, Any] | None) -> str:
-    if row is None:
-        return "-"
+def _cell(row: dict[str, Any]) -> str:
     return f"{row['iqm']:.3g} [{row['ci95'][0]:.3g}, {row['ci95'][1]:.3g}]"
 
 
@@ -151,9 +136,8 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
         }
         for name, each in SCORED.items()
     }
-    columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
     more = {
-        "privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING, "columns": columns,
+        "privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING, "columns": _columns(scores),
     }  # fmt: skip
     return fill(page, SCORES={**scores, **more}, TRACES=traces)

@@ -11,7 +11,7 @@ import hashlib
 import math
 import re
 import secrets
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -24,19 +24,21 @@ from hydro_env.benchmark.cells import (
     BOUND,
     Cell,
     Conditions,
+    by_name,
     cells_of,
     drive,
     overall,
     score_ends,
     with_summaries,
 )
+from hydro_env.benchmark.statistics import Summary
 from hydro_env.benchmark.suite import Suite, shipped_suites
 from hydro_env.controllers.registry import CONTROLLERS, source_of, split_gains
 from hydro_env.errors import InputError
 from hydro_env.files import to_json, write_json
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.tasks import SPLITS, VERSIONS
-from hydro_env.validation import Count, FileTable, Number, checked, known
+from hydro_env.validation import FileTable, Number, checked, known
 
 __all__ = ["SCHEMA", "check", "check_protocol", "read_declared", "read_result", "write_results"]
 
@@ -63,15 +65,6 @@ class Declared(FileTable):
     seeds: tuple[int, ...] = ()
     chosen_on: Annotated[str, known("split", ("train", "val"))] = "val"
     source: str = ""
-
-
-class Row(FileTable):
-    """A summary in a file."""
-
-    iqm: Number
-    ci95: tuple[Number, Number]
-    cvar95: Number
-    n: Count
 
 
 class Place(FileTable):
@@ -118,13 +111,9 @@ class Result(FileTable):
     decision_us: Number
     score_ends: dict[str, tuple[Number, Number]]
     idle: int
-    overall: dict[str, Row]
+    overall: dict[str, Summary]
     cases: tuple[Place, ...]
     sha256: str
-
-    @classmethod
-    def known_keys(cls) -> Collection[str]:
-        return [name.rstrip("_") for name in cls.model_fields]
 
     @model_validator(mode="after")
     def _complete(self) -> Result:
@@ -153,8 +142,7 @@ def write_results(
 ) -> None:
     """Writes `result_NAME.json` of every controller that failed nowhere; `declared` by the names of those it is declared of."""
     ends = score_ends(cells)
-    for name in scores["controllers"]:
-        own = [cell for cell in cells if cell.name == name]
+    for name, own in by_name(cells).items():
         if any(cell.failure for cell in own):
             continue
         content = {

@@ -12,16 +12,17 @@ figures are not in SciPy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hydro_env.validation import Count, FileTable, Number
+
 __all__ = [
     "Summary", "bootstrap_interval", "cvar", "iqm", "mean_of", "normalised", "probability_of_improvement", "resampled",
-    "summarise",
+    "scaled", "summarise",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -109,19 +110,18 @@ def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
     return float(np.mean((a < b) + 0.5 * (a == b)))
 
 
-@dataclass(frozen=True)
-class Summary:
-    """One cell of a score board."""
+class Summary(FileTable):
+    """One cell of a score board, also in files."""
 
-    iqm: float
-    ci95: tuple[float, float]
-    cvar95: float
-    n: int
+    iqm: Number
+    ci95: tuple[Number, Number]
+    cvar95: Number
+    n: Count
 
     @property
     def row(self) -> dict[str, Any]:
         """As scores.json has it."""
-        return {"iqm": self.iqm, "ci95": list(self.ci95), "cvar95": self.cvar95, "n": self.n}
+        return self.model_dump(mode="json")
 
 
 def summarise(
@@ -131,7 +131,7 @@ def summarise(
     those with the smallest values."""
     sample = np.asarray(values, dtype=float).ravel()
     interval, sign = bootstrap_interval(sample, strata=strata, seed=seed), -1.0 if more else 1.0
-    return Summary(iqm(sample), interval, sign * cvar(sign * sample), sample.size)
+    return Summary(iqm=iqm(sample), ci95=interval, cvar95=sign * cvar(sign * sample), n=sample.size)
 
 
 def mean_of(parts: Sequence[Summary], samples: Sequence[tuple[ArrayLike, ArrayLike, int]]) -> Summary:
@@ -139,13 +139,17 @@ def mean_of(parts: Sequence[Summary], samples: Sequence[tuple[ArrayLike, ArrayLi
     of the same seed and strata are resampled alike."""
     middle, worst = (float(np.mean([getattr(part, of) for part in parts])) for of in ("iqm", "cvar95"))
     means = [resampled(values, strata=strata, seed=seed) for values, strata, seed in samples]
-    return Summary(middle, _interval(np.mean(means, axis=0)), worst, sum(part.n for part in parts))
+    interval = _interval(np.mean(means, axis=0))
+    return Summary(iqm=middle, ci95=interval, cvar95=worst, n=sum(part.n for part in parts))
+
+
+def scaled(values: ArrayLike, ends: tuple[float, float]) -> Floats:
+    """Values on a scale that is 0 at the first of `ends` and 100 at the second."""
+    low, high = ends
+    return 100.0 * ((np.asarray(values) - low) / (high - low))
 
 
 def normalised(summary: Summary, ends: tuple[float, float]) -> Summary:
-    """On a scale that is 0 at the first of `ends` and 100 at the second."""
-    low, high = ends
-    middle, *interval, worst = (
-        100.0 * ((v - low) / (high - low)) for v in (summary.iqm, *summary.ci95, summary.cvar95)
-    )
-    return Summary(middle, (interval[0], interval[1]), worst, summary.n)
+    """A summary on such a scale."""
+    middle, low, high, worst = scaled((summary.iqm, *summary.ci95, summary.cvar95), ends)
+    return Summary(iqm=middle, ci95=(low, high), cvar95=worst, n=summary.n)

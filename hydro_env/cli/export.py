@@ -71,9 +71,9 @@ def c(
     One header and one source; a state of fixed size, nothing allocated, nothing but math.h.
     """
     with writing(out) as folder:
-        from hydro_env.export.controllers import c_files
+        from hydro_env.export.controllers import export_controller
 
-        c_files(controller, folder, control_period, plant, single, trust)
+        export_controller("c", controller, folder, control_period, plant, single, trust)
 
 
 @export.command(cls=HelpfulCommand)
@@ -86,9 +86,9 @@ def st(
     A function block of IEC 61131-3 for a PLC: PID, couplings, and networks.
     """
     with writing(out) as folder:
-        from hydro_env.export.controllers import st_file
+        from hydro_env.export.controllers import export_controller
 
-        st_file(controller, folder, control_period, plant, single, trust)
+        export_controller("st", controller, folder, control_period, plant, single, trust)
 
 
 @export.command(cls=HelpfulCommand)
@@ -120,6 +120,6 @@ def onnx(controller: Controller, out: Out) -> None:
     The graph alone; its metadata say what its inputs are (needs the extra `agents`).
     """
     with writing(out) as folder:
-        from hydro_env.export.controllers import onnx_file
+        from hydro_env.export.controllers import export_network
 
-        onnx_file(controller, folder)
+        export_network(controller, folder)

@@ -36,17 +36,9 @@ def make(
 
     Writes logs and models of the rigs, and their truth in a folder of its own; a stopped run continues.
     """
-    from tqdm import tqdm
-
     from hydro_env.experiments.naming_benchmark.sets import make_set
 
-    with tqdm(total=rigs, unit="rig", disable=None) as bar:
-
-        def say(name: str) -> None:
-            bar.set_description(name)
-            bar.update()
-
-        make_set(out, rigs, seed, say)
+    make_set(out, rigs, seed)
     print(f"Written to {out}: rigs/ for the methods, truth/ for scoring alone")
 
 
@@ -58,23 +50,13 @@ def run(
 
     Writes a folder of answers for each method; a stopped run continues.
     """
-    from tqdm import tqdm
-
-    from hydro_env.experiments.naming_benchmark.methods import METHODS, run_method
-    from hydro_env.experiments.naming_benchmark.sets import read_set
+    from hydro_env.experiments.naming_benchmark.methods import METHODS, run_methods
 
     names = list(METHODS) if method == ["all"] else method
     for name in names:
         if name not in METHODS:
             raise InputError(f"unknown method {name!r}: {suggestion(name, METHODS)}")
-    total = len(names) * len(read_set(set_folder)["rigs"])
-    with tqdm(total=total, unit="answer", disable=None) as bar:
-
-        def say(text: str) -> None:
-            bar.set_description(text)
-            bar.update()
-
-        run_method(names, set_folder, out, say)
+    run_methods(names, set_folder, out)
     print(f"Written to {out}: {', '.join(f'{name}/' for name in names)}")
 
 

@@ -76,8 +76,8 @@ OUTPUT_SHAPING = (SLEW, SHAPE)
 class Controller:
     """Drives both valves of every rig of a batch from what can be measured there.
 
-    Subclasses list their gains in `GAINS` and implement `start` and `command`; anything else with a `reset`
-    and an `act` of the same meaning can be benchmarked as well. A gain may be a number, an array (2,) with
+    Subclasses list their gains in `GAINS` and implement `start`, `command` and, if need be, `take_in`; anything else with
+    a `reset` and an `act` of the same meaning can be benchmarked as well. A gain may be a number, an array (2,) with
     a value per channel, or an array (num_rigs, 1) with a value per rig; the latter is how a tuner tries
     many at once.
 
@@ -196,6 +196,8 @@ class Controller:
             self.__shaper = InputShaper(SPOOL_RATE, self.period, self.sent)
             self.start(measured)
             self._started = True
+        else:
+            self.take_in(measured)
         per_volt = FRACTION_PER_V / (1.0 if self.similar else self.rig.command)
         most = self.gains.get("slew", inf) * per_volt * self.period
         last = self.__shaper.past[-1]
@@ -211,6 +213,9 @@ class Controller:
 
     def start(self, measured: Measurements) -> None:
         """Sets the inner state from the first measurement, so that taking over causes no bump."""
+
+    def take_in(self, measured: Measurements) -> None:
+        """Takes in a measurement after the first one, before `command`."""
 
     def command(self, measured: Measurements) -> Floats:
         """Commands (num_rigs, 2) as a fraction of the rated command; may exceed [-1, 1], `act` limits them."""

@@ -19,6 +19,8 @@ from hydro_env.controllers.classical.cross_coupling import (
 )
 from hydro_env.controllers.classical.disturbance_observer import DisturbanceObserver
 from hydro_env.controllers.classical.pid import TABLE_III, PidController, RampedPid
+from hydro_env.controllers.learned.policy import NumpyPolicy
+from hydro_env.controllers.learned.sb3_policy import Sb3Policy
 from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
@@ -66,7 +68,7 @@ def _tuned(name: str, summary: str) -> Entry:
 
 def _policy(name: str, summary: str, apart: bool = False) -> Entry:
     path = HERE / "policies" / f"{name}.npz"
-    return Entry(name, summary, lambda: _from_policy(path, name), path, apart)
+    return Entry(name, summary, lambda: NumpyPolicy(path, name), path, apart)
 
 
 CONTROLLERS: dict[str, Entry] = {
@@ -174,10 +176,8 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
     if text.endswith(".json"):
         return _from_gains(path, path.stem, trust), gains
     if text.endswith(".npz"):
-        return _from_policy(path, path.stem), gains
+        return NumpyPolicy(path, path.stem), gains
     if text.endswith(".zip"):
-        from hydro_env.controllers.learned.sb3_policy import Sb3Policy
-
         own = dict(gains)
         return Sb3Policy(path, path.stem, trust, own.pop("increment", None)), own
     if text.endswith(".py"):
@@ -211,17 +211,8 @@ def _beside(path: Path, law: str) -> str:
     """`file.py:Class` of a gains file; a file that is not in the working folder is looked for beside the gains."""
     file, _, name = law.rpartition(":")
     other = path.parent / Path(file).name
-    return (
-        f"{other}:{name}"
-        if file.endswith(".py") and not os.path.isfile(file) and os.path.isfile(other)
-        else law
-    )
-
-
-def _from_policy(path: Path, name: str) -> Any:
-    from hydro_env.controllers.learned.policy import NumpyPolicy
-
-    return NumpyPolicy(path, name)
+    elsewhere = file.endswith(".py") and not os.path.isfile(file) and os.path.isfile(other)
+    return f"{other}:{name}" if elsewhere else law
 
 
 def _from_python(text: str, overrides: dict[str, Any]) -> Any:

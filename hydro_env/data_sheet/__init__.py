@@ -4,8 +4,7 @@ sheet.py        the file of a data sheet, its template, and questions on a termi
 quantities.py   what is known: given, or a class value with a range
 derive.py       formulas from there to the parameters of the model
 simulated.py    the data sheet of a model, measured on the simulated plant
-fit.py          what no formula gives: simulated as given
-describe.py     the model with its sources and ranges, both data sheets, the assumptions
+describe.py     what no formula gives, simulated as given; the model with its sources and ranges, both sheets, assumptions
 """
 
 from hydro_env.data_sheet.describe import Described, describe, write

@@ -1,7 +1,7 @@
 """From the quantities of a data sheet to the parameters of a model, by formulas that can be undone.
 
 What no formula gives (how far hysteresis, step response and frequencies follow from friction, damping and the coil together) is
-left to `Fitted`, numbers by which `fit.py` makes the simulated data sheet that of the paper.
+left to `Fitted`, numbers by which `describe.py` makes the simulated data sheet that of the paper.
 
 Logs and data sheets fix only ratios of spool mass, spring, force and friction (`plant.parameters.SCALINGS`). Here the spring is
 the base plant's as far as the mass can then be simulated, and the travel so short that the spool takes little of the coil's
@@ -85,20 +85,19 @@ def full_flow(q: Mapping[str, float]) -> float:
 
 
 def parameters(
-    q: Mapping[str, float],
-    fitted: Fitted,
-    scale_of: Mapping[str, float] | None = None,
-    other_flow: float | None = None,
+    q: Mapping[str, float], other_flow: float, fitted: Fitted, scale_of: Mapping[str, float] | None = None
 ) -> dict[str, float]:
-    """The values of one channel by name, SI. `scale_of` are values whose spring and rated travel are kept; `other_flow` is the
-    full flow of the other channel, m3/s (None: the same)."""
-    both = full_flow(q) * 2.0 if other_flow is None else full_flow(q) + other_flow
+    """The values of one channel by name, SI. `other_flow` is the full flow of the other channel, m3/s; `scale_of` are values
+    whose spring and rated travel are kept."""
+    both = full_flow(q) + other_flow
     return {**_valve(q, fitted, scale_of), **_motor(q), **_lines(q), **_supply(q, both)}
 
 
 def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float] | None) -> dict[str, float]:
     base = {name: p.nominal for name, p in PARAMETERS.items()}
-    omega = fitted.frequency * 2.0 * math.pi * _natural_frequency(q)
+    guessed = 0.45 / (q["step_response_ms"] * MILLISECOND) if "step_response_ms" in q else math.nan
+    natural = q.get("frequency_minus_90_deg_Hz", q.get("frequency_minus_3_dB_Hz", guessed))
+    omega = fitted.frequency * 2.0 * math.pi * natural
     damping = q["damping"] if fitted.damping is None else fitted.damping
     power = q["volts"] * q["ampere"]
     if scale_of is None:
@@ -132,23 +131,14 @@ def _valve(q: Mapping[str, float], fitted: Fitted, scale_of: Mapping[str, float]
     }  # fmt: skip
 
 
-def _natural_frequency(q: Mapping[str, float]) -> float:
-    """A first guess, Hz."""
-    for key in ("frequency_minus_90_deg_Hz", "frequency_minus_3_dB_Hz"):
-        if key in q:
-            return q[key]
-    return 0.45 / (q["step_response_ms"] * MILLISECOND)
-
-
 def _motor(q: Mapping[str, float]) -> dict[str, float]:
     displacement = q["displacement_cm3"] * 1e-6 / REVOLUTION
     pressure, speed = q["at_pressure_bar"] * BAR, q["at_speed_rpm"] * RPM
     lost = (1.0 - q["mechanical_efficiency_percent"] / 100.0) * displacement * pressure
     dry = q["dry_share"] * lost
     if "starting_torque_percent" in q:
-        static = (
-            (1.0 - q["starting_torque_percent"] / 100.0) * displacement * q["starting_torque_at_bar"] * BAR
-        )
+        lacking = 1.0 - q["starting_torque_percent"] / 100.0
+        static = lacking * displacement * q["starting_torque_at_bar"] * BAR
         dry = min(dry, static)
     else:
         static = q["static_over_dry"] * dry

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.optimize import least_squares
+
 from hydro_env.data_sheet.derive import EFFECTS, HOW, Fitted, full_flow, parameters
-from hydro_env.data_sheet.fit import fit
-from hydro_env.data_sheet.quantities import Quantity, quantities
-from hydro_env.data_sheet.sheet import DataSheet
-from hydro_env.data_sheet.simulated import motor_figures, rig_figures
+from hydro_env.data_sheet.quantities import DYNAMIC, Quantity, quantities, values_of
+from hydro_env.data_sheet.sheet import TABLES, DataSheet
+from hydro_env.data_sheet.simulated import dynamics_of, motor_figures, rig_figures, steady_figures
 from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import PlantModel, parameter_of, scales_of
@@ -22,6 +24,9 @@ __all__ = ["SCHEMA", "Described", "Figure", "describe", "write"]
 SCHEMA = "hydro_env/describe/1"
 #: Relative deviation of the simulated from the given figure that is marked, and what is never marked, in the figure's unit.
 _MARKED, _NEVER = 0.05, 0.2
+#: What is fitted to one, two and three figures of the spool's dynamics that a sheet may have, with its bounds; and how often.
+_FREE = (("frequency", 0.1, 10.0), ("damping", 0.25, 3.0), ("coil_lag", 0.02, 3.0))
+_ROUNDS = 2
 #: By which the range of a parameter is wider than its assumptions make it: data sheets leave as much open themselves.
 _TOLERANCE = 0.1
 
@@ -80,30 +85,28 @@ class _Channel:
     other_flow: float
     fitted: Fitted = field(default_factory=Fitted)
 
-    @property
-    def q(self) -> dict[str, float]:
-        return {key: quantity.value for key, quantity in self.known.items()}
+    def __post_init__(self) -> None:
+        self.q = values_of(self.known)
 
-    def parameters(self, fitted: Fitted | None = None) -> dict[str, float]:
-        return parameters(self.q, fitted or self.fitted, None, self.other_flow)
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The values of the channel by name, SI."""
+        return parameters(self.q, self.other_flow, self.fitted)
 
     def moved(self, key: str, value: float) -> dict[str, float]:
         """The parameters if a quantity were another, on the same spring and travel."""
-        return parameters({**self.q, key: value}, self.fitted, self.parameters(), self.other_flow)
+        return parameters({**self.q, key: value}, self.other_flow, self.fitted, self.parameters)
 
 
 def describe(sheet: DataSheet) -> Described:
     """The model of a data sheet. InputError for values that no such component has."""
     known = [quantities(sheet, channel) for channel in (0, 1)]
-    flows = [full_flow({key: quantity.value for key, quantity in each.items()}) for each in known]
-    channels = [_Channel(c, known[c], flows[1 - c]) for c in (0, 1)]
-    if known[0] == known[1]:
-        del channels[1]
-    simulated = {}
+    flows = [full_flow(values_of(each)) for each in known]
+    channels = [_Channel(c, known[c], flows[1 - c]) for c in ((0,) if known[0] == known[1] else (0, 1))]
+    figures, simulated = [], {}
     for c in channels:
-        c.fitted, simulated[c.number] = fit(c.q, c.number, partial(_one_model, sheet, c))
-    model = _model(sheet, [c.parameters() for c in channels])
-    figures = []
+        c.fitted, simulated[c.number] = _fit(sheet, c)
+    model = _model(sheet, [c.parameters for c in channels])
     for c in channels:
         found = {**simulated[c.number], **motor_figures(model, c.number, c.q), **rig_figures(model, c.number)}
         for key, value in found.items():
@@ -111,13 +114,8 @@ def describe(sheet: DataSheet) -> Described:
             printed = None if given is None else given.value
             figures.append(Figure(c.number + 1, key, printed, given is not None and given.assumed, value))
     assumptions = [row for c in channels for row in _assumptions(c)]
-    return Described(
-        replace(model, ranges=_ranges(model, channels, assumptions)), _sources(sheet, channels), figures, assumptions
-    )  # fmt: skip
-
-
-def _one_model(sheet: DataSheet, c: _Channel, fitted: Fitted) -> PlantModel:
-    return _model(sheet, [c.parameters(fitted)])
+    model = replace(model, ranges=_ranges(model, channels, assumptions))
+    return Described(model, _sources(sheet, channels), figures, assumptions)
 
 
 def _model(sheet: DataSheet, channels: list[dict[str, float]]) -> PlantModel:
@@ -130,19 +128,64 @@ def _model(sheet: DataSheet, channels: list[dict[str, float]]) -> PlantModel:
         raise InputError(f"no model has these values: {str(problem).partition(': ')[2]}") from None
 
 
-def _assumptions(c: _Channel) -> list[Assumption]:
-    rows, nominal = [], c.parameters()
+# --- what no formula gives --------------------------------------------------------------------------------------------
+def _fit(sheet: DataSheet, c: _Channel) -> tuple[Fitted, dict[str, float]]:
+    """The numbers by which the model of a channel does what its sheet says, as far as a few numbers can, and its figures."""
+
+    def model_of(fitted: Fitted) -> PlantModel:
+        return _model(sheet, [parameters(c.q, c.other_flow, fitted)])
+
+    def nearer(found: dict[str, float], key: str) -> float:
+        return min(max(c.q[key] / max(found[key], 1e-9), 0.3), 3.0)
+
+    fitted = Fitted()
+    for _ in range(_ROUNDS):
+        fitted = _fit_dynamics(c, model_of, fitted)
+        for _ in range(3):  # both are nearly in proportion
+            found = steady_figures(model_of(fitted), c.number, c.q)
+            hysteresis = fitted.hysteresis * nearer(found, "hysteresis_percent")
+            fitted = replace(
+                fitted, hysteresis=hysteresis, flow=fitted.flow * nearer(found, "rated_flow_lpm")
+            )
+    model = model_of(fitted)
+    return fitted, {**steady_figures(model, c.number, c.q), **dynamics_of(model, c.number, c.q)}
+
+
+def _fit_dynamics(c: _Channel, model_of: Callable[[Fitted], PlantModel], start: Fitted) -> Fitted:
+    """The spool's dynamics by least squares on the plant."""
+    given = [key for key in DYNAMIC if key in c.q]
+    names = [row for row in _FREE if row[0] != "coil_lag" or "coil_lag" in c.q][: len(given)]
+    at = [getattr(start, name) or c.q.get(name, 1.0) for name, _, _ in names]
+
+    def fitted(x: np.ndarray) -> Fitted:
+        return replace(start, **{row[0]: math.exp(value) for row, value in zip(names, x, strict=True)})
+
+    def off(x: np.ndarray) -> np.ndarray:
+        found = dynamics_of(model_of(fitted(x)), c.number, c.q)
+        return np.array([min(max(math.log(found[key] / c.q[key]), -3.0), 3.0) for key in given])
+
+    low, high = (np.log([row[n] for row in names]) for n in (1, 2))
+    first = np.clip(np.log(at), low + 1e-6, high - 1e-6)
+    answer = least_squares(off, first, bounds=(low, high), diff_step=0.01, xtol=1e-4, ftol=1e-5, max_nfev=20)
+    return fitted(answer.x)
+
+
+# --- what was assumed, and where each value is from -------------------------------------------------------------------
+def _assumptions(c: _Channel) -> Iterator[Assumption]:
+    nominal = c.parameters
     for key, quantity in c.known.items():
         if quantity.low is None or quantity.high is None or getattr(c.fitted, key, None) is not None:
             continue
-        ends = [c.moved(key, end) for end in (quantity.low, quantity.high)]
-        names = tuple(
-            n for n, v in nominal.items() if any(not math.isclose(e[n], v, rel_tol=1e-9) for e in ends)
-        )
-        rows.append(
-            Assumption(c.number + 1, key, quantity.value, quantity.low, quantity.high, quantity.why, names)
-        )
-    return [row for row in rows if row.parameters or row.low == row.high]
+        span = quantity.low, quantity.high
+        moved = {name for end in span for name in _moved(nominal, c.moved(key, end))}
+        if moved or quantity.low == quantity.high:
+            names = tuple(name for name in nominal if name in moved)
+            yield Assumption(c.number + 1, key, quantity.value, *span, quantity.why, names)
+
+
+def _moved(nominal: dict[str, float], other: dict[str, float]) -> list[str]:
+    """The parameters that are not what they were."""
+    return [name for name, value in nominal.items() if not math.isclose(other[name], value, rel_tol=1e-9)]
 
 
 def _ranges(
@@ -151,7 +194,7 @@ def _ranges(
     """What the assumptions leave open of each parameter, one at a time."""
     ranges: dict[str, tuple[float, float]] = {}
     for row in assumptions:
-        c = channels[row.channel - 1] if len(channels) > 1 else channels[0]
+        c = channels[row.channel - 1]
         ends = [c.moved(row.key, end) for end in (row.low, row.high)]
         for name in row.parameters:
             possible = scales_of(model, c.number).parameter(parameter_of(name)).possible
@@ -165,18 +208,16 @@ def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
     """Where each value is from: how, and from which keys of the sheet and which assumptions."""
     texts: dict[str, dict[str, None]] = {}
     for c in channels:
-        nominal = c.parameters()
+        nominal = c.parameters
         used: dict[str, list[str]] = {name: [] for name in nominal}
         for key, quantity in c.known.items():
-            near = c.moved(key, 1.01 * quantity.value or 0.01)
             text = f"{key} {quantity.value:.4g}" + " (assumed)" * quantity.assumed
-            for name, value in nominal.items():
-                if not math.isclose(near[name], value, rel_tol=1e-9):
-                    used[name].append(text)
+            for name in _moved(nominal, c.moved(key, 1.01 * quantity.value or 0.01)):
+                used[name].append(text)
         for name, keys in used.items():
             how = HOW.get(name) or HOW[name.partition(".")[0]]
             texts.setdefault(name, {})[f"{how}; {', '.join(keys)}" if keys else how] = None
-    tables = [f"{name}: {table.source}" for name, table in sheet.tables(0).items() if table.source]
+    tables = [f"{name}: {t.source}" for name, t in zip(TABLES, sheet.tables(0), strict=True) if t.source]
     printed = f" [{'; '.join(tables)}]" if tables else ""
     return {name: " / ".join(each) + printed for name, each in texts.items()}
 

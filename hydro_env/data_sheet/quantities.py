@@ -7,12 +7,13 @@ a standard. They stand in this file and nowhere else.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hydro_env.data_sheet.derive import full_flow
-from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Oil, Supply, Valve
+from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Supply, Valve
 
-__all__ = ["Quantity", "quantities"]
+__all__ = ["DYNAMIC", "Quantity", "quantities", "values_of"]
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ _WALLS = {
     "thermoplastic": {"wall_bulk_modulus_bar": (15000.0, 6000.0, 30000.0)},
     "steel": {"wall_bulk_modulus_bar": (200000.0, 100000.0, 400000.0)},
 }
+#: Figures of the spool's dynamics that a sheet may have.
+DYNAMIC = ("step_response_ms", "frequency_minus_3_dB_Hz", "frequency_minus_90_deg_Hz")
 #: Speed of the oil by which the bore of a line is chosen, m/s.
 _OIL_SPEED = 5.0
 _RULE = "class value, assumed"
@@ -88,11 +91,6 @@ class _Known(dict[str, Quantity]):
         if value is not None and not isinstance(value, bool | str):
             self.setdefault(key, Quantity(float(value)))
 
-    @property
-    def values_by_key(self) -> dict[str, float]:
-        """The values alone."""
-        return {key: quantity.value for key, quantity in self.items()}
-
     def assume(self, key: str, low: float, value: float, high: float, why: str = _RULE) -> None:
         self.setdefault(key, Quantity(value, low, high, why))
 
@@ -106,16 +104,18 @@ class _Known(dict[str, Quantity]):
             self.assume(key, min(lows), value, max(highs), why)
 
 
+def values_of(known: Mapping[str, Quantity]) -> dict[str, float]:
+    """The values alone."""
+    return {key: quantity.value for key, quantity in known.items()}
+
+
 def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
     """All quantities of channel 0 or 1 by the keys of the tables; those of oil and lines have their own names."""
     known = _Known()
-    for table in sheet.tables(channel).values():
+    valve, motor, supply, lines, oil = sheet.tables(channel)
+    for table in (valve, motor, supply, lines, oil):
         for key, value in table.given().items():
-            known.give(f"oil_{key}" if isinstance(table, Oil) else key, value)
-    tables = sheet.tables(channel)
-    valve, motor, supply, lines = (tables[name] for name in ("valve", "motor", "supply", "lines"))
-    assert isinstance(valve, Valve) and isinstance(motor, Motor)
-    assert isinstance(supply, Supply) and isinstance(lines, Lines)
+            known.give(f"oil_{key}" if table is oil else key, value)
     _of_valve(known, valve)
     _of_motor(known, motor, supply)
     known.assume_class(_SUPPLIES, supply.kind, "pressure_compensated")
@@ -128,39 +128,38 @@ def _of_valve(known: _Known, valve: Valve) -> None:
         why = "the sheet does not say; 2: the drop is that over one edge, 1: over the valve"
         known.assume("edges", 1.0, 1.0, 2.0, why)
     known.give("edges", 2.0 if valve.pressure_drop_over == "edge" else 1.0)
-    kind = {"servo": "servo valve", None: None}.get(valve.kind, "proportional valve")
-    if valve.spool_feedback and valve.kind != "servo":
-        kind = "valve with spool feedback"
-    elif valve.spool_feedback is False and kind is None:
+    kind = (
+        "servo valve"
+        if valve.kind == "servo"
+        else "valve with spool feedback"
+        if valve.spool_feedback
+        else None
+    )
+    if kind is None and (valve.kind or valve.spool_feedback is False):
         kind = "proportional valve"
-    dynamic = ("step_response_ms", "frequency_minus_3_dB_Hz", "frequency_minus_90_deg_Hz")
-    timed = [key for key in dynamic if key in known]
+    timed = [key for key in DYNAMIC if key in known]
     known.assume_class(_VALVES, kind, "proportional valve")
     if timed and "step_response_ms" not in timed:
         del known["step_response_ms"]
     known.assume("step_response_to_percent", 80.0, 90.0, 98.0)
     known.assume("frequency_amplitude_percent", 5.0, 25.0, 100.0)
     volts, ampere = valve.rated_command_V, (valve.rated_command_mA or 0.0) / 1000.0
-    if volts is None:
-        ohm = valve.coil_resistance_Ohm
-        known.give("volts", ampere * ohm if ohm else None)
-        known.assume(
-            "volts", 10.0, 10.0, 10.0, "a scale only: the model's command in V, in proportion to the current"
-        )
-    else:
-        known.give("volts", volts)
+    if volts is None and valve.coil_resistance_Ohm:
+        volts = ampere * valve.coil_resistance_Ohm
+    known.give("volts", volts)
+    why = "a scale only: the model's command in V, in proportion to the current"
+    known.assume("volts", 10.0, 10.0, 10.0, why)
     known.give("ampere", ampere or None)
     if valve.coil_resistance_Ohm and not valve.onboard_electronics:
         known.give("ampere", known["volts"].value / valve.coil_resistance_Ohm)
-    known.assume(
-        "ampere", 0.73, 0.73, 0.73, "a scale only: the current behind an amplifier's input is not the sheet's"
-    )
+    why = "a scale only: the current behind an amplifier's input is not the sheet's"
+    known.assume("ampere", 0.73, 0.73, 0.73, why)
     if valve.coil_inductance_mH:
         del known["coil_lag"]
 
 
 def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
-    fastest = 60.0 * full_flow(known.values_by_key) / (1e-6 * motor.displacement_cm3)
+    fastest = 60.0 * full_flow(values_of(known)) / (1e-6 * motor.displacement_cm3)
     if fastest < 1000.0:
         known.assume("at_speed_rpm", 0.4 * fastest, 0.7 * fastest, fastest, "share of the speed at full flow")
     known.assume_class(_MOTORS, motor.kind, "gear")
@@ -181,10 +180,9 @@ def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
 
 def _of_lines(known: _Known, lines: Lines) -> None:
     known.assume("length_m", 0.3, 1.0, 3.0)
-    bore = 1000.0 * math.sqrt(4.0 * full_flow(known.values_by_key) / (math.pi * _OIL_SPEED))
-    known.assume(
-        "bore_mm", 0.7 * bore, bore, 1.4 * bore, f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
-    )
+    bore = 1000.0 * math.sqrt(4.0 * full_flow(values_of(known)) / (math.pi * _OIL_SPEED))
+    why = f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
+    known.assume("bore_mm", 0.7 * bore, bore, 1.4 * bore, why)
     known.assume_class(_WALLS, lines.kind, "rubber")
     known.assume("fittings", 3.0, 10.0, 30.0, f"{_RULE}: loss coefficient of ports and couplings of one line")
     if lines.crossport_relief_bar:

@@ -24,7 +24,7 @@ from hydro_env.errors import InputError, shown
 from hydro_env.reading import parse_yaml, read_yaml
 from hydro_env.validation import FileTable, Number, checked
 
-__all__ = ["DataSheet", "Lines", "Motor", "Oil", "Supply", "Valve", "ask", "read_sheet", "template"]
+__all__ = ["TABLES", "DataSheet", "Lines", "Motor", "Oil", "Supply", "Valve", "ask", "read_sheet", "template"]
 
 Positive = Annotated[Number, Field(gt=0.0, le=1e6)]
 Efficiency = Annotated[Number, Field(ge=10.0, lt=100.0)]
@@ -153,14 +153,13 @@ class DataSheet(FileTable):
     lines_2: Lines | None = None
     oil: Oil = Oil()
 
-    def tables(self, channel: int) -> dict[str, _Table]:
-        """The tables of channel 0 or 1 by name."""
-        both: dict[str, _Table] = {name: getattr(self, name) for name in _TABLES}
-        own = {name: getattr(self, f"{name}_2", None) for name in both} if channel else {}
-        return {name: own.get(name) or table for name, table in both.items()}
+    def tables(self, channel: int) -> tuple[Valve, Motor, Supply, Lines, Oil]:
+        """The tables of channel 0 or 1."""
+        valve, motor, lines = (self.valve_2, self.motor_2, self.lines_2) if channel else (None, None, None)
+        return valve or self.valve, motor or self.motor, self.supply, lines or self.lines, self.oil
 
 
-_TABLES: dict[str, type[_Table]] = {
+TABLES: dict[str, type[_Table]] = {
     "valve": Valve, "motor": Motor, "supply": Supply, "lines": Lines, "oil": Oil,
 }  # fmt: skip
 
@@ -179,7 +178,7 @@ def _choices(field: FieldInfo) -> str:
 def template() -> str:
     """An empty data sheet with a comment at each key."""
     lines = [f"schema: {DataSheet.FORMAT}", "name: my rig"]
-    for name, table in _TABLES.items():
+    for name, table in TABLES.items():
         lines.append(
             f"{name}:" if any(f.is_required() for f in table.model_fields.values()) else f"# {name}:"
         )
@@ -196,7 +195,7 @@ def ask(where: Path) -> tuple[DataSheet, str]:
         "schema": DataSheet.FORMAT,
         "name": input("name of the rig: ").strip() or "my rig",
     }
-    for name, table in _TABLES.items():
+    for name, table in TABLES.items():
         print(f"\n{(table.__doc__ or name).strip()}")
         if answers := _asked_table(name, table):
             data[name] = answers

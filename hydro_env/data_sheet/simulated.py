@@ -11,10 +11,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.data_sheet.derive import total_drop
-from hydro_env.plant import PARAMETERS, Plant, PlantModel, simulate
+from hydro_env.plant import PARAMETERS, Plant, PlantModel
 from hydro_env.plant.model import VALVE_PARAMETERS
 from hydro_env.units import BAR, LPM, MILLISECOND, RPM
 from hydro_env.valve_bench import identify, record
@@ -47,14 +47,18 @@ def _valve_alone(model: PlantModel) -> PlantModel:
     return _on_the_bench(model, **motor, D=1e-5, B=0.0, **dry)
 
 
-def _held(model: PlantModel, channel: int, load: float, seconds: float) -> dict[str, float]:
-    """Where the rated command leads to against a load (N m), the other valve closed."""
-    command = np.zeros((round(seconds / 0.01), 2))
-    command[:, channel] = model.value("u_rated", channel)
-    loads = np.zeros((1, 2))
-    loads[0, channel] = load
-    out = simulate(model, command, loads, 0.01, record=("flow", "pressure"))
-    return {name: float(np.mean(signal[-50:, 0, channel])) for name, signal in out.items()}
+def _run(
+    plant: Plant, channel: int, command: ArrayLike, load: ArrayLike, period: float, *signals: str
+) -> list[Floats]:
+    """Signals (T,) of a channel under a command (T,) in V and a load, (T,) or constant, in N m; the other valve is closed."""
+
+    def alone(values: ArrayLike) -> Floats:
+        both = np.zeros((np.size(values), 2))
+        both[:, channel] = values
+        return both
+
+    out = plant.run(alone(command), alone(load), period, signals)
+    return [out[name][:, 0, channel] for name in signals]
 
 
 def steady_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> dict[str, float]:
@@ -65,8 +69,10 @@ def steady_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> d
     curve = identify(record(alone, channel, seconds=40.0, signal="command"))
     sides = [side for side in (curve.positive, curve.negative) if side is not None]
     band = max(0.0, float(np.mean([side.dead_zone for side in sides])))
+    rated = np.full(300, model.value("u_rated", channel))
+    (flow,) = _run(Plant(alone), channel, rated, load, 0.01, "flow")
     return {
-        "rated_flow_lpm": _held(alone, channel, load, 3.0)["flow"] / LPM,
+        "rated_flow_lpm": float(np.mean(flow[-50:])) / LPM,
         "dead_band_percent": 100.0 * band / curve.rated,
         "hysteresis_percent": curve.hysteresis_percent or 0.0,
     }
@@ -77,10 +83,8 @@ def dynamics_of(model: PlantModel, channel: int, q: Mapping[str, float]) -> dict
     alone = _valve_alone(model)
     own = math.sqrt(model.value("k", channel) / model.value("m", channel)) / (2.0 * math.pi)
     rated = model.value("u_rated", channel)
-    period = 1.0 / (own * 200.0)
-    command, frequencies = np.zeros((4000, 2)), np.array(own * _SHARES, np.float64)
-    command[:, channel] = rated
-    spool = simulate(alone, command, None, period, record=("spool",))["spool"][:, 0, channel]
+    period, frequencies = 1.0 / (own * 200.0), np.array(own * _SHARES, np.float64)
+    (spool,) = _run(Plant(alone), channel, np.full(4000, rated), 0.0, period, "spool")
     share = min(q["step_response_to_percent"] / 100.0, 0.98)  # 100 %: within 2 %
     gain, phase = _response(alone, channel, frequencies, rated * q["frequency_amplitude_percent"] / 100.0)
     return {
@@ -98,9 +102,7 @@ def _response(
     time = np.arange(math.ceil(_PERIODS / frequencies[0] / period)) * period
     command = np.zeros((len(time), len(frequencies), 2))
     command[:, :, channel] = amplitude * np.sin(2.0 * math.pi * frequencies * time[:, None])
-    spool = simulate(model, command, None, period, num_rigs=len(frequencies), record=("spool",))["spool"][
-        :, :, channel
-    ]
+    spool = Plant(model, len(frequencies)).run(command, None, period, ("spool",))["spool"][:, :, channel]
     last = time >= time[-1] / _PERIODS
     found = np.empty(len(frequencies), complex)
     for n, frequency in enumerate(frequencies):
@@ -130,19 +132,16 @@ def motor_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> di
     travel = valve["alpha"] * rated / valve["R"] / valve["k"]
     closed = dict.fromkeys(("dead_zone.overlap_positive", "dead_zone.overlap_negative"), 0.0)
     gain = min(2.0 * displacement * speed / travel, PARAMETERS["Kq"].possible[1])
+    valve |= {"Kq": gain, "magnetic_hysteresis.amplitude": 0.0, "magnetic_hysteresis.width": 0.03}
     bench = _on_the_bench(
-        model, **closed, **{**valve, "Kq": gain},
-        **{"magnetic_hysteresis.amplitude": 0.0, "magnetic_hysteresis.width": 0.03},
-        **{"pressure_dependent_flow.supply_pressure": 4.0 * pressure},
-    )  # fmt: skip
+        model, **closed, **valve, **{"pressure_dependent_flow.supply_pressure": 4.0 * pressure}
+    )
     plant, found = Plant(bench), {}
     rows = round(min(max(10.0 * _memory(model, channel), 1.0), 60.0) / 0.01)
-    command, load = 0.6 * rated, displacement * pressure
+    command, load, signals = 0.6 * rated, displacement * pressure, ("speed", "pressure", "flow")
     for _ in range(8):  # the command by what the speed lacks, the load by what the pressure lacks
-        commands, loads = np.zeros((rows, 2)), np.zeros((1, 2))
-        commands[:, channel], loads[:, channel] = command, load
-        out = plant.run(commands, loads, 0.01, ("speed", "pressure", "flow"))
-        found = {name: float(np.mean(signal[-20:, 0, channel])) for name, signal in out.items()}
+        out = _run(plant, channel, np.full(rows, command), load, 0.01, *signals)
+        found = {name: float(np.mean(values[-20:])) for name, values in zip(signals, out, strict=True)}
         missing = displacement * (speed - found["speed"])
         command = min(command * max(1.0 + missing / found["flow"], 0.3), rated)
         load += displacement * (pressure - found["pressure"])
@@ -155,11 +154,9 @@ def motor_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> di
 
 def _starting_torque(bench: PlantModel, channel: int, q: Mapping[str, float]) -> float:
     """Percent of the theoretical torque that is left when the motor breaks away."""
-    command = np.zeros((3000, 2))
-    command[:, channel] = np.linspace(0.0, 0.1 * bench.value("u_rated", channel), 3000)
-    out = simulate(bench, command, None, 0.01, record=("speed", "pressure"))
-    slow = out["speed"][:, 0, channel] < 0.25  # full friction, see `motor_coulomb_friction`
-    breakaway = float(np.max(out["pressure"][slow, 0, channel]))
+    command = np.linspace(0.0, 0.1 * bench.value("u_rated", channel), 3000)
+    speed, pressure = _run(Plant(bench), channel, command, 0.0, 0.01, "speed", "pressure")
+    breakaway = float(np.max(pressure[speed < 0.25]))  # full friction, see `motor_coulomb_friction`
     return 100.0 * (1.0 - breakaway / (q.get("starting_torque_at_bar", q["at_pressure_bar"]) * BAR))
 
 
@@ -173,14 +170,12 @@ def rig_figures(model: PlantModel, channel: int) -> dict[str, float]:
     """Speed of both motors without load at the rated commands, and the pressure at which the load stops one."""
     seconds = min(max(20.0 * _memory(model, channel), 20.0), 300.0)
     rows = round(seconds / 0.01)
-    rated = np.array(model.pair("u_rated"))
-    speed = simulate(model, np.tile(rated, (rows, 1)), None, 0.01)["speed"][-20:, 0, channel]
-    alone = np.zeros((2 * rows, 2))
-    alone[:, channel] = rated[channel]
+    both = Plant(model).run(np.tile(model.pair("u_rated"), (rows, 1)), None, 0.01, ("speed",))["speed"]
+    command = np.full(2 * rows, model.value("u_rated", channel))
     most = model.value("D", channel) * model.value("pressure_dependent_flow.supply_pressure", channel)
-    load = np.zeros_like(alone)
-    load[rows:, channel] = np.linspace(0.0, 1.2 * most, rows)
-    out = simulate(model, alone, load, 0.01, record=("speed", "pressure"))
-    stopped = np.flatnonzero(out["speed"][rows:, 0, channel] <= 0.0)
-    stall = out["pressure"][rows + stopped[0], 0, channel] if stopped.size else math.inf
-    return {"no_load_speed_rpm": float(np.mean(speed)) / RPM, "stall_pressure_bar": float(stall) / BAR}
+    load = np.concatenate([np.zeros(rows), np.linspace(0.0, 1.2 * most, rows)])
+    speed, pressure = _run(Plant(model), channel, command, load, 0.01, "speed", "pressure")
+    stopped = np.flatnonzero(speed[rows:] <= 0.0)
+    stall = pressure[rows + stopped[0]] if stopped.size else math.inf
+    fast = float(np.mean(both[-20:, 0, channel]))
+    return {"no_load_speed_rpm": fast / RPM, "stall_pressure_bar": float(stall) / BAR}

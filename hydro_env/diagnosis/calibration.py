@@ -21,7 +21,8 @@ import numpy as np
 from ..measured import Finding, RigLog
 from ..measured import Mapping as LogMapping
 from ..plant import PlantModel
-from .estimation import Fit, Vector
+from .estimation.estimate import Vector
+from .estimation.fit import Fit
 from .logs import Estimates
 from .opening import opened
 from .settings import Settings
@@ -31,8 +32,6 @@ from .stages.form_correction import Models
 from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, estimated_model, known_parameters
 from .stages.warnings import about_bounds, about_logs
-
-__all__ = ["Calibration", "Residual", "estimate"]
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def estimate(
 def _residuals(proof: Proof) -> dict[str, Residual]:
     rig, found = proof.rig, {}
     for (c, signal), e in proof.errors.items():
-        own, size = [s for s in rig.segments[c] if s.signal == signal], shown_unit(rig, signal, c)[1]
+        own, size = rig.segments[c].by_signal[signal], shown_unit(rig, signal, c)[1]
         errors = [(s.measured - proof.traces["after"][c][s.place]) / size for s in own]
         errors = [np.where(s.used, error, np.nan) for s, error in zip(own, errors, strict=True)]
         times = [rig.parts[s.log].log.time_s[s.rows] for s in own]

@@ -5,27 +5,24 @@ hydro-env diagnose FIT_LOG... --sealed LOG... [--model PRESET_OR_YAML] [--mappin
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from ..files import write_json, write_text
 from ..pages import beside_results, import_in_background
 from .result import Diagnosis
-from .settings import Settings
 from .stages.next_experiment import FILE as NEXT_EXPERIMENT
-from .workflow import DEFAULT, diagnose
-
-__all__ = ["run", "write"]
+from .workflow import diagnose
 
 
 def run(
-    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
-    mapping: str | Path | None = None, jobs: int | None = None, settings: Settings = DEFAULT, steady: bool = False,
-    accept: Collection[str] = (), quiet: bool = False,
+    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, jobs: int | None = None,
+    quiet: bool = False, **options: Any,
 ) -> Diagnosis:  # fmt: skip
     """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
 
-    `jobs` threads (None: one for every core that this process may use), the rest as in `diagnose`.
+    `jobs` threads (None: one for every core that this process may use), other options as in `diagnose`.
     """
     from loky import cpu_count
     from tqdm import tqdm
@@ -39,10 +36,7 @@ def run(
                 bar.set_description(text)
 
         import_in_background()
-        found = diagnose(
-            fit_logs, sealed, model, mapping, jobs=jobs or cpu_count(), steady=steady, accept=accept,
-            settings=settings, progress=progress,
-        )  # fmt: skip
+        found = diagnose(fit_logs, sealed, jobs=jobs or cpu_count(), progress=progress, **options)
         bar.set_description("writing the report")
         write(found, Path(out))
     if not quiet:

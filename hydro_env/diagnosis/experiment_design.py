@@ -33,27 +33,25 @@ from ..measured import RigLog
 from ..plant import PlantModel, scales_of
 from ..plant.sensors import NOISE
 from ..waveforms import triangle
-from .estimation import Estimate, Fit, intervals_of, replica_differences
+from .estimation.estimate import Estimate
+from .estimation.fit import Fit
+from .estimation.uncertainty import intervals_of, replica_differences
 from .input.parts import Part
 from .models.base import BLOCK_S, SI, UNITS, Request
 from .models.dynamic_rig import DynamicRig
 from .settings import Settings
-
-__all__ = [
-    "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
-]  # fmt: skip
+from .stages.values import SHAPE_BY_FORM
 
 Array = np.ndarray
 
-#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory (`input.duration`),
-#: and pieces in between, in periods.
+#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory
+#: (`estimation.uncertainty`), and pieces in between, in periods.
 PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
 #: Random experiments to begin with, and random pieces of which the best takes a place: two blocks of the kernel, and one.
 FIRST, PIECES_TRIED = 16, 8
-#: An effect may do this much more or less than its law says (`naming.SHAPE_BY_FORM`): less of a difference tells forms apart, not
-#: effects.
-FORM = 0.1
+#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+FORM = SHAPE_BY_FORM
 #: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, this many times at most: down
 #: to an eighth.
 SMALLER, MAX_TIMES_SMALLER = 0.6, 5

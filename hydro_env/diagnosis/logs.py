@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 from ..measured import Finding
-from .estimation import Estimate, Fit
+from .estimation.estimate import Estimate
+from .estimation.fit import Fit
 from .models.base import RigModel
-
-__all__ = ["Estimates", "Given", "Logs", "changed", "distinct", "place_of"]
 
 #: Estimates by channel; the same one for both where the whole rig was estimated together.
 Estimates = dict[int, Estimate]
@@ -56,12 +55,3 @@ def place_of(channel: int | None) -> str:
 def distinct(estimates: Estimates) -> list[Estimate]:
     """Each estimate once."""
     return list(dict.fromkeys(estimates.values()))
-
-
-def changed(
-    change: Callable[[list[Estimate]], None], which: Iterable[Estimate], *groups: Estimates
-) -> list[Estimates]:
-    """The groups with copies of some estimates after a change in place; one that is in several groups stays one."""
-    twins = {p: replace(p) for p in which}
-    change(list(twins.values()))
-    return [{c: twins.get(p, p) for c, p in group.items()} for group in groups]

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
-from .estimation import Fit
+from .estimation.fit import Fit
 from .input.checks import read_logs
 from .input.parts import Part
 from .logs import Logs
@@ -20,8 +20,6 @@ from .models.dynamic_rig import DynamicRig
 from .models.steady_valve import SteadyValve
 from .settings import Settings
 from .stages import row_times
-
-__all__ = ["opened"]
 
 
 @contextmanager

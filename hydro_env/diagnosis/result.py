@@ -9,13 +9,11 @@ from typing import Any
 from ..files import write_text
 from ..plant import CATALOGUE
 from .logs import place_of
-from .stages.form_correction import Correction
+from .stages.candidates import Correction
 from .stages.next_experiment import NextExperiment
 from .stages.screening import detectable, hidden_by_calibration
 from .stages.values import effect_values, known_parameters
 from .state import State
-
-__all__ = ["SCHEMA", "Diagnosis"]
 
 SCHEMA = "hydro_env/diagnosis/1"
 

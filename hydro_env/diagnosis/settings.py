@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ..errors import InputError, nearest
-
-__all__ = ["RULES", "Settings"]
+from ..errors import InputError, suggestion
 
 #: What each rule does, by its name.
 RULES = {
@@ -54,7 +52,7 @@ class Settings:
     temper: float = 0.1
     #: Command of the next experiment at most, as a share of the rated one, ...
     command_limit: float = 1.0
-    #: ... its rate of change in rated commands per second, ...
+    #: ... its rate of change in rated commands per second (full command in 50 ms is a step to a shaft that remembers 0.18 s), ...
     rate_limit: float = 20.0
     #: ... the load pressure that the models predict, Pa; none: the supply pressure of the model.
     pressure_limit: float | None = None
@@ -69,9 +67,7 @@ class Settings:
         object.__setattr__(self, "rules_off", frozenset(self.rules_off))
         for name in self.rules_off:
             if name not in RULES:
-                near = nearest(name, RULES)
-                hint = f"did you mean {near!r}? " if near else ""
-                raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
+                raise InputError(f"unknown rule {name!r}: {suggestion(name, RULES)}")
 
     def uses(self, name: str) -> bool:
         """Whether a rule is on."""

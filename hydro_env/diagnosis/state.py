@@ -10,25 +10,21 @@ from ..plant import PlantModel
 from .logs import Logs
 from .models.base import RigModel
 from .stages.candidates import Selection
-from .stages.form_correction import Models
 from .stages.localisation import Location
 from .stages.naming import NamedEffect
 from .stages.screening import Screening
-from .stages.validation import Proofs
 from .stages.values import estimated_model
-
-__all__ = ["State"]
+from .stages.verdict import Confirmed
 
 
 @dataclass(frozen=True)
-class State:
-    """What the stages found.
+class State(Confirmed):
+    """What the stages found, with the verdict that is confirmed.
 
     `verdict` is `none`: the model as given explains the logs; `calibration`: adjusting known parameters does; `effects`: the
     named `effects` do; `unknown`: something is missing that the catalogue does not explain.
 
-    `undetermined` says why the fit logs do not determine the known parameters, `elsewhere` why the held-out logs seem to be of
-    another rig or state, `doubts` why names that explain the fit logs are not confirmed.
+    `undetermined` says why the fit logs do not determine the known parameters.
     """
 
     logs: Logs
@@ -36,13 +32,8 @@ class State:
     screening: list[Screening]
     selection: Selection
     locations: list[Location]
-    verdict: str
-    models: Models
-    proofs: Proofs
     effects: list[NamedEffect]
     undetermined: list[str]
-    elsewhere: list[str]
-    doubts: list[str]
 
     @property
     def rig(self) -> RigModel:

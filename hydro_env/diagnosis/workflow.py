@@ -40,8 +40,6 @@ from .stages import (
 )
 from .state import State
 
-__all__ = ["STAGES", "diagnose"]
-
 #: The settings unless others are given.
 DEFAULT = Settings()
 #: The stages in their order, each with what a progress bar says.
@@ -137,11 +135,10 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     models = do(form_correction.run, calibrated.given, selected, first, forms)
     models = do(uncertainty.settle, logs, models)
     models = do(uncertainty.run, logs, models)
-    unknown = list(uncertainty.undetermined(logs.rig))
     proofs = do(validation.run, logs, models)
     found = do(verdict.confirm, selected, first, models, proofs)
     effects = do(naming.run, selected, found)
     return State(
-        logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
-        found.elsewhere, found.doubts,
+        **vars(found), logs=logs, findings=calibrated.findings, screening=screened, selection=selected, locations=locations,
+        effects=effects, undetermined=list(uncertainty.undetermined(logs.rig)),
     )  # fmt: skip

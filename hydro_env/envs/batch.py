@@ -25,10 +25,8 @@ from ..tasks.mismatch import Mismatch, default_mismatch, load_mismatch
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from ..units import RPM
 from .env_spec import OwnSpec
-from .history import History
 from .observation import ERRORS, FRAME, LIMIT, Noise, noise_levels, scales_on, with_errors
 from .own_functions import OwnObservation, OwnReward, Signals, checked_rows
-from .plants import PlantLike, PlantSource, make_plant
 from .privileged import Privileged
 from .profiles import encode
 from .randomisation import Episodes, Randomisation
@@ -37,7 +35,7 @@ from .reward import Reward, load_reward
 from .rollout import Result, Rollout
 from .step_kernels import COLUMNS, STATE
 
-__all__ = ["HydraulicSyncVectorEnv", "Result"]
+__all__ = ["HydraulicSyncVectorEnv", "Result", "row_of"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -132,7 +130,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         sensing = np.concatenate([scales_on(self.scales), self.reward.weights(self.scales.speed)])
         self._rollout = Rollout(made, self.control_period, width, sensing, self.threads)
         self._randomisation = Randomisation(self.num_envs, self.model)
-        self._history = History(self.num_envs, self.history)
+        #: What each row showed last, (N, FRAME * history), oldest first.
+        self._frames = np.zeros((self.num_envs, width), np.float32)
         known = (self._rollout, self._randomisation, self.mismatch, self._noise, self.scales)
         #: What `info["privileged"]` holds; None where nobody asked for it.
         self.privileged = Privileged(*known) if privileged else None
@@ -156,14 +155,19 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         width = (FRAME + ERRORS * self.errors) * self.history
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
         if self._own_observation is not None:
-            width = self.seen(self._history.frames, self._true, finite=False).shape[1]
+            width = self.seen(self._frames, self._true, finite=False).shape[1]
             self.single_observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
-    def _make_plant(self, effects: tuple[str, ...]) -> PlantLike:
-        return make_plant(self.model, self.num_envs, effects, self._tolerance, self.dtype)
+    def _make_plant(self, effects: tuple[str, ...]) -> Plant:
+        """The rigs. A model with a method `make_plant` is of something else, simulated by code of its own: what that makes has
+        all of `Plant` that is used here, with `lost` empty where it does not say what it could not follow."""
+        if hasattr(self.model, "make_plant"):
+            foreign: Plant = self.model.make_plant(self.num_envs, self.dtype)
+            return foreign
+        return Plant(self.model, self.num_envs, effects=effects, tolerance=self._tolerance, dtype=self.dtype)
 
     def _levels(self, noise: Noise) -> Floats:
         """The levels (2, 6) between which the noise is drawn. InputError as `noise_levels`."""
@@ -196,9 +200,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._sense(rows, result)
         self._ended = self._ended & ~mask
         # These show what they showed last.
-        result[0][~mask], result[1][~mask] = self._history.frames[~mask], self._true[~mask]
+        result[0][~mask], result[1][~mask] = self._frames[~mask], self._true[~mask]
         self._true = result[1]
-        return self.seen(result[0], self._true), self._reset_info({}, mask, self._true)
+        return self.seen(result[0], self._true), self._info(self._true, mask) | self._drawn_info(mask)
 
     def use_options(self, options: Mapping[str, Any] | None = None) -> None:
         """Gives the episodes after the present ones, until the next `reset`, these options of it; none without any.
@@ -264,20 +268,19 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if waiting:
             self._restart(again, result)
             reward[again], terminated[again], truncated[again] = 0.0, False, False
-            info = self._reset_info(self._step_info(true, terminated, everyone, ~again), again, true)
+            info = self._info(true, everyone, ~again, terminated) | self._drawn_info(again)
         else:
-            info = self._step_info(true, terminated, everyone, everyone)
+            info = self._info(true, everyone, everyone, terminated)
         self._ended = ended = terminated | truncated
         if mode is AutoresetMode.SAME_STEP and ended.any():
             final = np.full(self.num_envs, None, object)
             last = self.seen(observation, true)
             for row in np.flatnonzero(ended):
                 final[row] = last[row].copy()
-            final_info = self._step_info(true.copy(), terminated, ended, ended)
+            final_info = self._info(true.copy(), ended, ended, terminated)
             self._restart(ended, result)
-            info = self._step_info(true, np.zeros_like(ended), everyone, ~ended)
+            info = self._info(true, everyone, ~ended) | self._drawn_info(ended)
             info |= {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
-            self._reset_info(info, ended, true)
             self._ended = np.zeros_like(ended)
         self._true = true
         return self.seen(observation, true), reward, terminated, truncated, info
@@ -311,7 +314,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     # --- what the single environment and Stable-Baselines3 build on -----------------------------------------------
     @property
-    def plant(self) -> PlantLike:
+    def plant(self) -> Plant:
         """The rigs, a row each."""
         return self._rollout.plant
 
@@ -441,38 +444,54 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._remember(rows, result)
 
     def _remember(self, rows: Rows, result: Result) -> None:
-        """What was sensed, to the history and to the pictures."""
-        self._history.add(result[0], rows, self._rollout.state["step"])
+        """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one
+        again; and keeps what was sensed, for the next period and for pictures."""
+        observation = result[0]
+        if self.history > 1:
+            new = rows[self._rollout.state["step"][rows] == 0]
+            observation[rows, :-FRAME] = self._frames[rows, FRAME:]
+            observation[new, :-FRAME] = np.tile(observation[new, -FRAME:], self.history - 1)
+        if rows.size == self.num_envs:  # copied faster
+            self._frames[:] = observation
+        else:
+            self._frames[rows] = observation[rows]
         if self._recorder is not None:
             self._recorder.add(rows, result[1], self._rollout.angle)
 
-    def _step_info(self, true: Floats, terminated: Mask, given: Mask, stepped: Mask) -> dict[str, Any]:
-        """What a step tells: true signals of the rows `given`, and the terms of the reward of those that `stepped`."""
+    def _info(
+        self, true: Floats, given: Mask, stepped: Mask | None = None, terminated: Mask | None = None
+    ) -> dict[str, Any]:
+        """True signals of the rows `given`, the terms of the reward of those that `stepped`, and why rows were `terminated`."""
         info: dict[str, Any] = {}
         for key, column in self.columns.items():
-            info[key] = true[:, column]
-            info["_" + key] = stepped if key.startswith("reward") else given
+            mask = stepped if key.startswith("reward") else given
+            if mask is not None:
+                info[key], info["_" + key] = true[:, column], mask
         if self.privileged is not None:
             info["privileged"], info["_privileged"] = self.privileged.now(), given
-        if terminated.any():
-            info["termination"] = self.reasons(terminated)
-            info["_termination"] = terminated.copy()
+        if terminated is not None and terminated.any():
+            info["termination"], info["_termination"] = self.reasons(terminated), terminated.copy()
         return info
 
-    def _reset_info(self, info: dict[str, Any], mask: Mask, true: Floats) -> dict[str, Any]:
-        """Adds what belongs to the first observation of some rows."""
-        for key, column in self.columns.items():
-            if key not in info and not key.startswith("reward"):
-                info[key], info["_" + key] = true[:, column], mask
-        if self.privileged is not None and "privileged" not in info:
-            info["privileged"], info["_privileged"] = self.privileged.now(), mask
-        pairs: dict[str, Any] = {}
-        for name, values in self.pairs.items():
-            pairs[name], pairs["_" + name] = values, mask
-        drawn = self._randomisation
-        for key, value in (("mismatch", pairs), ("fault", drawn.fault.copy()), ("case", drawn.case.copy())):
-            info[key], info["_" + key] = value, mask
-        return info
+    def _drawn_info(self, mask: Mask) -> dict[str, Any]:
+        """What belongs to the first observation of some rows."""
+        pairs, drawn = self.pairs, self._randomisation
+        told: dict[str, Any] = {"mismatch": pairs | {"_" + name: mask for name in pairs}}
+        told |= {"fault": drawn.fault.copy(), "case": drawn.case.copy()}
+        return told | {"_" + key: mask for key in told}
+
+
+def row_of(info: dict[str, Any], row: int) -> dict[str, Any]:
+    """What a batch's info says of one row."""
+    own: dict[str, Any] = {}
+    for key, value in info.items():
+        if key.startswith("_") or key in ("final_obs", "final_info") or not info["_" + key][row]:
+            continue
+        if isinstance(value, dict):
+            own[key] = row_of(value, row)
+        else:
+            own[key] = value[row].copy() if value.ndim > 1 else value[row]
+    return own
 
 
 def _real(actions: ArrayLike) -> Floats:
@@ -494,7 +513,7 @@ def _optional(limits: Limits, value: Any, name: str) -> Any:
 def _tolerance(plant: Any, model: PlantModel, given_rpm: float | None) -> float | None:
     """The tolerance that is given or that a `Plant` brings, rad/s; None for that of the model."""
     if given_rpm is not None:
-        if isinstance(model, PlantSource):
+        if hasattr(model, "make_plant"):
             raise InputError(f"tolerance_rpm: {model.name!r} is simulated by its own code; leave it out")
         return float(TOLERANCE.check(given_rpm, "tolerance_rpm") * RPM)
     return plant.tolerance if isinstance(plant, Plant) else None

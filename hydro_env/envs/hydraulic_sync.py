@@ -15,11 +15,10 @@ from ..errors import InputError, shown
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
-from .batch import HydraulicSyncVectorEnv
+from .batch import HydraulicSyncVectorEnv, row_of
 from .env_spec import OwnSpec
 from .observation import Noise
 from .own_functions import OwnObservation, OwnReward
-from .plants import PlantLike
 from .randomisation import SEED
 from .render import PICTURES, Window
 from .reward import Reward
@@ -163,7 +162,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._steps = 0
 
     @property
-    def plant(self) -> PlantLike:
+    def plant(self) -> Plant:
         """The plant, a batch of one."""
         return self.batch.plant
 
@@ -178,15 +177,10 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             seed = self.np_random_seed
         self._seeded = True
         observation, batched = self.batch.reset(seed=None if seed is None else [seed], options=options)
-        info: dict[str, Any] = {}
-        for key, value in batched.items():
-            if key == "mismatch":
-                info[key] = {name: pair[0] for name, pair in value.items() if not name.startswith("_")}
-            elif not key.startswith("_"):
-                info[key] = value[0] if value.ndim > 1 or value.dtype == object else value[0].item()
+        info = row_of(batched, 0)
         self._steps = 0
         self._show()
-        return observation[0], info
+        return observation[0], {k: v.item() if isinstance(v, np.generic) else v for k, v in info.items()}
 
     def step(
         self, action: NDArray[np.float32]

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plant import PlantModel, Scales
+from ..plant import Plant, PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
 from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
 from .observation import LIMIT, scales_on
-from .plants import PlantLike
 from .randomisation import Randomisation
 from .rollout import Rollout
 
@@ -94,15 +93,12 @@ def _span(name: str, mismatch: Mismatch, model: PlantModel) -> tuple[Floats, Flo
 def _share(value: Floats, low: Floats, high: Floats, logarithmic: bool = False) -> Floats:
     """Values (N, n), -1 at the low and 1 at the high end (n,); 0 where there is nothing between them."""
     if logarithmic:
-        value, low, high = (
-            np.log(np.maximum(value, 1e-9 * low)),
-            np.log(low),
-            np.log(high),
-        )  # before the first reset 0
+        least = 1e-9 * low  # before the first reset values are 0
+        value, low, high = (np.log(np.maximum(each, least)) for each in (value, low, high))
     return np.asarray((2.0 * value - low - high) / np.where(low < high, high - low, np.inf))
 
 
-def _shows(plant: PlantLike, name: str) -> bool:
+def _shows(plant: Plant, name: str) -> bool:
     """Whether the plant has this signal."""
     try:
         return plant.row_of(name) >= 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .plants import PlantLike
+from ..plant import Plant
 from .profiles import Profiles
 from .step_kernels import SIGNALS, STATE, TRUE, apply, observe, take_inputs, wind
 
@@ -30,7 +30,7 @@ class Rollout:
     `observe`.
     """
 
-    def __init__(self, plant: PlantLike, period: float, width: int, sensing: Floats, threads: int) -> None:
+    def __init__(self, plant: Plant, period: float, width: int, sensing: Floats, threads: int) -> None:
         self.period, self.width, self.threads = period, width, threads
         self.deviation, self.sensing = np.zeros((plant.num_rigs, 6)), sensing
         self.rows = np.arange(plant.num_rigs)
@@ -39,7 +39,7 @@ class Rollout:
         self._command, self._load = np.zeros((2, plant.num_rigs, 2))
         self.take(plant)
 
-    def take(self, plant: PlantLike) -> None:
+    def take(self, plant: Plant) -> None:
         """Drives this plant from now on."""
         self.plant = plant
         self.state["rated"] = plant.get("u_rated")

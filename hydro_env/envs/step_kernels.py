@@ -6,6 +6,7 @@ batch is bit for bit the same as that row alone.
 
 from __future__ import annotations
 
+from functools import partial
 from math import isfinite
 
 import numpy as np
@@ -67,8 +68,7 @@ _TO_DEG = 1.0 / DEGREE
 _TO_BAR = 1.0 / BAR
 
 
-def _threaded(function):
-    return compiled(function, nogil=True)
+_threaded = partial(compiled, nogil=True)
 
 
 @_threaded

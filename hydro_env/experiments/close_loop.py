@@ -36,10 +36,9 @@ from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import constants_of, make_practice
-from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.tasks import Trace, compute, load_scenario
 
-__all__ = ["CASES", "SCENARIOS", "Settings", "read", "run", "scored", "write"]
+__all__ = ["CASES", "SCENARIOS", "SCHEMA", "Settings", "run", "scored", "write"]
 
 SCHEMA = "hydro_env/close_loop/1"
 #: What is hidden, by the name of the case.
@@ -297,18 +296,3 @@ def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
             from hydro_env.experiments.close_loop_picture import draw
 
             draw(data, path)
-
-
-def read(folder: Path) -> dict[str, Any]:
-    """What `write` wrote. InputError if there is no such result."""
-    what = f"a result of `hydro-env close-loop --out {folder}`"
-    files = folder / "close_loop.json", folder / "traces.json"
-    data, traces = (read_json(file, what, max_bytes=MAX_BYTES_OF_RESULTS) for file in files)
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise InputError(f"{folder / 'close_loop.json'}: its schema should be {SCHEMA!r}")
-    kept = {_of(s): s for s in traces}
-    return {**data, "scores": [kept.get(_of(s), s) for s in data["scores"]]}
-
-
-def _of(row: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(row[key] for key in ("controller", "tuned_on", "rig", "scenario"))

@@ -115,24 +115,25 @@ def measure_batch(
         return rows * num_envs
 
     plant = Plant(model, num_envs, dtype=dtype)
-    volts = plant.get("u_rated") * actions.astype(float)
-
-    def plant_steps() -> int:
-        plant.run(volts, None, PERIOD, (), 1)
-        return rows * num_envs
-
-    rate, kernel, taken = _rate(steps, seconds), _rate(plant_steps, seconds), _attempts(plant, volts)
+    rate = _rate(steps, seconds)
+    kernel, taken = _plant_rate(plant, plant.get("u_rated") * actions.astype(float), seconds)
     return {
         "num_envs": num_envs, "dtype": dtype, "threads": 1, "env_steps_per_s": rate, "plant_steps_per_s": kernel,
         "channel_substeps_per_s": kernel * 2.0 * taken, "steps_a_period": taken, "times_real_time": rate * PERIOD,
     }  # fmt: skip
 
 
-def _attempts(plant: Plant, volts: Floats) -> float:
-    """Steps that a channel attempts in a period under these commands (rows, rigs, 2), the mean over all."""
-    before = plant.get("attempts")
-    plant.run(volts, None, PERIOD, (), 1)
-    return float((plant.get("attempts") - before).mean()) / len(volts)
+def _plant_rate(plant: Plant, volts: Floats, seconds: float) -> tuple[float, float]:
+    """Steps a second of a plant under these commands (rows, rigs, 2), summed over its rigs, and how many steps of the integrator
+    a channel attempts in each, the mean over all."""
+
+    def steps() -> int:
+        plant.run(volts, None, PERIOD, (), 1)
+        return len(volts) * plant.num_rigs
+
+    rate, before = _rate(steps, seconds), plant.get("attempts")
+    steps()
+    return rate, float((plant.get("attempts") - before).mean()) / len(volts)
 
 
 def measure_commands(
@@ -183,11 +184,8 @@ def measure_effects(seconds: float = 1.0) -> dict[str, float]:
     volts = Plant("paper").get("u_rated") * commands("smooth", 20, 1024, np.random.default_rng(0))
 
     def cost(plant: Plant) -> float:
-        def steps() -> int:
-            plant.run(volts, None, PERIOD, (), 1)
-            return len(volts) * plant.num_rigs
-
-        return 1e9 / (_rate(steps, seconds) * 2.0 * _attempts(plant, volts))
+        rate, taken = _plant_rate(plant, volts, seconds)
+        return 1e9 / (rate * 2.0 * taken)
 
     return {
         "base_ns": cost(Plant("paper", 1024)),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from hydro_env import __version__
 from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import without_unread
 from hydro_env.ir.reader import Reader
@@ -13,20 +12,11 @@ from .schedule import Schedule
 from .templates import template
 from .tracing import MEASURED, Program
 
-__all__ = ["CCode", "c_code"]
+__all__ = ["c_code"]
 
 
-@dataclass(frozen=True)
-class CCode:
-    """The texts of NAME.h and NAME.c."""
-
-    name: str
-    header: str
-    source: str
-
-
-def c_code(program: Program, version: str, about: str) -> CCode:
-    """The C of a program. `about`: a sentence on the controller."""
+def c_code(program: Program, about: str) -> dict[str, str]:
+    """The texts of NAME.h and NAME.c for a program, by file. `about`: a sentence on the controller."""
     name = identifier(program.name)
     reader = Reader(reserved=RESERVED)
     bodies = []
@@ -40,9 +30,9 @@ def c_code(program: Program, version: str, about: str) -> CCode:
     state = "".join(f"    {TYPES[each.kind]} {each.name}[{each.size}];\n" for each in program.state)
     header, step = (
         template(file).substitute(
-            name=name, guard=name.upper(), period=repr(program.period), about=about, version=version, measured=len(MEASURED),
+            name=name, guard=name.upper(), period=repr(program.period), about=about, version=__version__, measured=len(MEASURED),
             hold=f"{HOLD:g}", samples=held_samples(program.period), state=state, most=MAX_VALUE,
         )
         for file in ("controller.h", "controller.c")
     )  # fmt: skip
-    return CCode(name, header, f'#include "{name}.h"\n' + source(reader, *bodies, step))
+    return {f"{name}.h": header, f"{name}.c": f'#include "{name}.h"\n' + source(reader, *bodies, step)}

@@ -18,7 +18,7 @@ from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return,
 from ..ir.reader import Reader
 
 __all__ = [
-    "RESERVED", "TYPES", "bare", "expression", "identifier", "literal", "source", "statements", "variables",
+    "RESERVED", "TYPES", "bare", "expression", "identifier", "listed", "literal", "source", "statements", "variables",
 ]  # fmt: skip
 
 #: C types of kinds of numbers.
@@ -181,9 +181,13 @@ def _function(made: Function) -> str:
 
 
 def _table(table: Table) -> str:
-    numbers = ", ".join(bare(literal(x, table.kind)) for x in table.numbers)
-    lines = "\n    ".join(textwrap.wrap(numbers, 120, break_long_words=False))
+    lines = listed(bare(literal(x, table.kind)) for x in table.numbers)
     return f"static const {TYPES[table.kind]} {table.name}[{len(table.numbers)}] = {{\n    {lines}}};\n"
+
+
+def listed(numbers: Iterable[str]) -> str:
+    """Numbers with commas between them, in lines."""
+    return "\n    ".join(textwrap.wrap(", ".join(numbers), 120, break_long_words=False))
 
 
 def _words(texts: Iterable[str]) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env import __version__
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
@@ -20,12 +19,11 @@ from hydro_env.ir.reader import TranslationError
 from hydro_env.plant import Plant, PlantModel, load_model, scales_of
 
 from .c_code import c_code
-from .c_printer import identifier
 from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
 
-__all__ = ["block_of", "c_files", "onnx_file", "program_of", "st_file", "tuned_on", "written"]
+__all__ = ["export_controller", "export_network", "program_of", "texts_of", "tuned_on", "write_program"]
 
 
 def program_of(
@@ -33,8 +31,8 @@ def program_of(
 ) -> Program:  # fmt: skip
     """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
     default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python
-    unless asked otherwise; `trust`: as for `make_controller`; `readable`: as for `trace`, but for a law
-    that decides by its gains in plain Python, which has them built in.
+    unless asked otherwise; `trust`: as for `make_controller`; `readable`: with names, and with gains as inputs but for a law that
+    decides by them in plain Python.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
@@ -84,39 +82,41 @@ def _about(spec: str) -> str:
     return f"In short: {entry.summary}." if entry is not None else "From a file of its user."
 
 
-def c_files(
-    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool = False
-) -> dict[str, Any]:
-    """Writes NAME.h, NAME.c and export.json; what the latter holds."""
-    program = program_of(spec, period, plant, single, trust)
-    code = c_code(program, __version__, _about(spec))
-    texts = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
-    return written(folder, "c", spec, texts, program)
+#: How a program is written, by the name of the language.
+_LANGUAGES = {"c": c_code, "st": structured_text}
 
 
-def st_file(
-    spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool = False
-) -> dict[str, Any]:
-    """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
-    program, text = block_of(spec, period, plant, single, trust)
-    return written(folder, "st", spec, {f"{identifier(program.name)}.st": text}, program)
-
-
-def block_of(
-    spec: str, period: float, plant: str | None, single: bool, trust: bool = False, name: str = ""
-) -> tuple[Program, str]:
-    """A readable program and its function block, under its own name or this one. InputError for a controller that calls compiled
-    functions."""
-    program = program_of(spec, period, plant, single, trust, readable=True)
+def texts_of(
+    language: str, spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, name: str = ""
+) -> tuple[Program, dict[str, str]]:  # fmt: skip
+    """A controller's program, under its own name or this one, and the texts of its files, as for `export_controller`."""
+    program = program_of(spec, period, plant, single, trust, readable=language == "st")
     program.name = name or program.name
     try:
-        return program, structured_text(program, __version__, _about(spec))
+        return program, _LANGUAGES[language](program, _about(spec))
     except TraceError as problem:
         raise _refusal(spec, problem) from None
 
 
-def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
-    """Writes NAME.onnx and export.json; what the latter holds. InputError for a controller without a network."""
+def export_controller(
+    language: str, spec: str, folder: Path, period: float, plant: str | None = None, single: bool = False,
+    trust: bool = False,
+) -> None:  # fmt: skip
+    """Writes a controller in C ("c": NAME.h and NAME.c) or Structured Text ("st": NAME.st), and export.json. The rest as for
+    `program_of`. InputError as there, and for Structured Text of one that calls compiled functions."""
+    write_program(folder, language, spec, *texts_of(language, spec, period, plant, single, trust))
+
+
+def write_program(folder: Path, kind: str, spec: str, program: Program, texts: dict[str, str]) -> None:
+    """Writes the files of a program, by name, and export.json."""
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    size = sum(each.size for each in program.state)
+    _note(folder, kind, spec, [*texts], {"control_period_s": program.period, "state_numbers": size})
+
+
+def export_network(spec: str, folder: Path) -> None:
+    """Writes the network of a learned agent in ONNX (NAME.onnx), and export.json. InputError for a controller without one."""
     from .onnx import export_onnx
 
     controller = make_controller(spec)
@@ -126,7 +126,7 @@ def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
         )
     name = f"{controller.name}.onnx"
     export_onnx(_policy_file(spec), folder / name)
-    return _noted(folder, "onnx", spec, [name], {"interface": controller.interface.table()})
+    _note(folder, "onnx", spec, [name], {"interface": controller.interface.table()})
 
 
 def _policy_file(spec: str) -> Path:
@@ -134,17 +134,8 @@ def _policy_file(spec: str) -> Path:
     return entry.file if entry is not None and entry.file is not None else Path(spec)
 
 
-def written(folder: Path, kind: str, spec: str, texts: dict[str, str], program: Program) -> dict[str, Any]:
-    """Writes the files of a program, by name, and export.json."""
-    for name, text in texts.items():
-        write_text(folder / name, text)
-    size = sum(each.size for each in program.state)
-    return _noted(folder, kind, spec, [*texts], {"control_period_s": program.period, "state_numbers": size})
-
-
-def _noted(folder: Path, kind: str, spec: str, files: list[str], about: dict[str, Any]) -> dict[str, Any]:
+def _note(folder: Path, kind: str, spec: str, files: list[str], about: dict[str, Any]) -> None:
     """Writes export.json."""
     sizes = [{"file": name, "bytes": (folder / name).stat().st_size} for name in files]
-    about = {"schema": "hydro_env/export/1", "kind": kind, "controller": spec, **about, "files": sizes}
-    write_json(folder / "export.json", about)
-    return about
+    note = {"schema": "hydro_env/export/1", "kind": kind, "controller": spec, **about, "files": sizes}
+    write_json(folder / "export.json", note)

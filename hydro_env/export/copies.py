@@ -8,7 +8,7 @@ import io
 import pickle
 import sys
 from collections.abc import Callable
-from importlib.util import resolve_name
+from importlib.util import module_from_spec, resolve_name
 from types import ModuleType
 from typing import Any
 
@@ -40,13 +40,14 @@ class Copies:
         if not self._private(name):
             return original
         if name not in self._modules:
-            made = self._modules[name] = ModuleType(name)
-            space = vars(made)
-            space |= {key: value for key, value in vars(original).items() if key.startswith("__")}
-            space["__builtins__"] = {**vars(builtins), "__import__": self._import}
-            exec(_code(original), space)
-            for key, value in list(space.items()):
-                space[key] = self._changed(value, getattr(original, key, value))
+            specification = original.__spec__
+            if name not in sys.modules or specification is None or specification.loader is None:
+                raise ImportError(f"{name} has no source")
+            made = self._modules[name] = module_from_spec(specification)
+            vars(made)["__builtins__"] = {**vars(builtins), "__import__": self._import}
+            specification.loader.exec_module(made)
+            for key, value in list(vars(made).items()):
+                setattr(made, key, self._changed(value, getattr(original, key, value)))
         return self._modules[name]
 
     def _import(
@@ -63,14 +64,6 @@ class Copies:
             if self._private(inner) and not hasattr(found, inner.rpartition(".")[2]):
                 setattr(found, inner.rpartition(".")[2], self.module(inner))
         return found
-
-
-def _code(module: ModuleType) -> Any:
-    specification = module.__spec__
-    loader: Any = specification.loader if specification is not None else None
-    if module.__name__ not in sys.modules or loader is None:
-        raise ImportError(f"{module.__name__} has no source")
-    return compile(loader.get_data(module.__file__), str(module.__file__), "exec")
 
 
 class _Unpickler(pickle.Unpickler):

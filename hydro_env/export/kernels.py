@@ -10,7 +10,7 @@ import numpy as np
 from hydro_env.ir.nodes import const, var
 from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError, Value, constant_of
 
-from .symbols import Expr, Kernel, MaskedRows, Place
+from .symbols import Expr, Kernel, MaskedRows, Symbols
 
 __all__ = ["KernelCall", "kernel_call"]
 
@@ -30,35 +30,36 @@ class KernelCall:
 def kernel_call(call: Kernel, reader: Reader) -> KernelCall:
     """The function for a call."""
     marks: dict[str, Handed] = {}
-    values = [_value(each, marks, reader) for each in call.arguments]
-    called = reader.call(call.function, values)
+    numbers = iter(call.numbers)
+
+    def value(argument: Any) -> Value:
+        """An argument as a value whose name is a mark for what stands there."""
+        mark = f"mark{len(marks)}"
+        if isinstance(argument, Symbols) and argument.ndim:
+            marks[mark] = next(n for n, each in enumerate(call.arrays) if each is argument)
+            return Arr.of(argument.kind, mark, argument.shape)
+        if isinstance(argument, Symbols):
+            number = next(numbers)
+            if number.op == "const":
+                return const(number.value, number.kind)
+            marks[mark] = number
+            return var(mark, number.kind)
+        if isinstance(argument, MaskedRows):
+            marks[mark] = argument
+            marks[f"{mark}_count"] = next(numbers)
+            return Arr.of("int", mark, [var(f"{mark}_count", "int")])
+        if hasattr(argument, "_fields"):
+            return Rec({name: value(getattr(argument, name)) for name in argument._fields})
+        if isinstance(argument, np.ndarray) and argument.ndim:
+            return reader.table(argument)
+        known = constant_of(argument.item() if isinstance(argument, np.ndarray) else argument)
+        if known is None:
+            raise TranslationError(f"an argument of type {type(argument).__name__} cannot be passed on")
+        return known
+
+    called = reader.call(call.function, list(map(value, call.arguments)))
     if called.result is not None:
         raise TranslationError(f"{call.function.__name__}: returns a value, which cannot be followed")
     changed = {marks[each] for each in called.written if each in marks}
     handed = [marks[each.value] for each in called.handed]
     return KernelCall(called.name, handed, sorted(each for each in changed if isinstance(each, int)))
-
-
-def _value(argument: Any, marks: dict[str, Handed], reader: Reader) -> Value:
-    """An argument as a value whose name is a mark for what stands there."""
-    mark = f"mark{len(marks)}"
-    if isinstance(argument, Place):
-        marks[mark] = argument.number
-        return Arr.of(argument.kind, mark, argument.shape)
-    if isinstance(argument, MaskedRows):
-        marks[mark] = argument
-        marks[f"{mark}_count"] = argument.mask
-        return Arr.of("int", mark, [var(f"{mark}_count", "int")])
-    if isinstance(argument, Expr):
-        if argument.op == "const":
-            return const(argument.value, argument.kind)
-        marks[mark] = argument
-        return var(mark, argument.kind)
-    if isinstance(argument, dict):
-        return Rec({name: _value(each, marks, reader) for name, each in argument.items()})
-    if isinstance(argument, np.ndarray) and argument.ndim:
-        return reader.table(argument)
-    known = constant_of(argument.item() if isinstance(argument, np.ndarray) else argument)
-    if known is None:
-        raise TranslationError(f"an argument of type {type(argument).__name__} cannot be passed on")
-    return known

@@ -20,9 +20,7 @@ pointer priority private program property protected public read real ref referen
 ror round sel self shl shr single sizeof step string struct sub super task then this time to true trunc type union until using var
 while with word write xor"""
 #: What a variable is called that holds no value of the controller, by the first letter that it has in a schedule.
-_HELPERS = {
-    "g": "Gathered", "s": "Sum", "a": "Copied", "x": "Value", "v": "Values", "i": "Index", "j": "Column",
-}  # fmt: skip
+_HELPERS = dict(g="Gathered", s="Sum", a="Copied", x="Value", v="Values", i="Index", j="Column")
 
 
 def pascal(name: str) -> str:

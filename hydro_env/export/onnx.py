@@ -30,20 +30,18 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
 
     network, metadata = read_policy(policy)
     single = network.astype(np.float32)
-    nodes, constants, states, name = [], [], [], "inputs"
+    constants: dict[str, NDArray[Any]] = {}
+    nodes, states, name = [], [], "inputs"
     last = len(single.layers) - 1
     for n, layer in enumerate(single.layers):
         if isinstance(layer, Gru):
             made, kept = _gru_nodes(n, layer, name)
             nodes += made
-            constants += kept
+            constants |= kept
             states.append((f"state{n}", layer.outputs))
             name = f"next_state{n}"
             continue
-        constants += [
-            numpy_helper.from_array(layer.weight, f"w{n}"),
-            numpy_helper.from_array(layer.bias, f"b{n}"),
-        ]
+        constants |= {f"w{n}": layer.weight, f"b{n}": layer.bias}
         nodes.append(helper.make_node("Gemm", [name, f"w{n}", f"b{n}"], [f"sum{n}"], transB=1))
         name = f"hidden{n}"
         if n < last:
@@ -51,10 +49,7 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
     if single.squash == "tanh":
         nodes.append(helper.make_node("Tanh", [f"sum{last}"], ["outputs"]))
     else:
-        limits = [
-            numpy_helper.from_array(np.float32(value), key) for key, value in (("low", -1.0), ("high", 1.0))
-        ]
-        constants += limits
+        constants |= {"low": np.array(-1.0, np.float32), "high": np.array(1.0, np.float32)}
         nodes.append(helper.make_node("Clip", [f"sum{last}", "low", "high"], ["outputs"]))
 
     def rows(name: str, width: int) -> Any:
@@ -62,7 +57,8 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
 
     graph = helper.make_graph(
         nodes, "policy", [rows("inputs", network.num_inputs), *(rows(state, width) for state, width in states)],
-        [rows("outputs", network.num_outputs), *(rows(f"next_{state}", width) for state, width in states)], constants,
+        [rows("outputs", network.num_outputs), *(rows(f"next_{state}", width) for state, width in states)],
+        [numpy_helper.from_array(array, key) for key, array in constants.items()],
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(
@@ -72,22 +68,21 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
     write_bytes(Path(path), model.SerializeToString())
 
 
-def _gru_nodes(n: int, layer: Gru, inputs: str) -> tuple[list[Any], list[Any]]:
+def _gru_nodes(n: int, layer: Gru, inputs: str) -> tuple[list[Any], dict[str, NDArray[Any]]]:
     """Nodes and constants of recurrent layer n: one step from `state{n}` to `next_state{n}`, both (rows, H)."""
-    from onnx import helper, numpy_helper
+    from onnx import helper
 
     def in_order(array: NDArray[Any]) -> NDArray[Any]:
         """ONNX has the update gate before the reset gate, and an axis for directions in front."""
         reset, keep, new = np.split(array, 3)
         return np.concatenate([keep, reset, new])[None]
 
-    both = np.concatenate([in_order(layer.bias), in_order(layer.back_bias)], axis=1)
-    constants = [
-        numpy_helper.from_array(in_order(layer.weight), f"w{n}"),
-        numpy_helper.from_array(in_order(layer.back), f"v{n}"),
-        numpy_helper.from_array(both, f"b{n}"),
-        numpy_helper.from_array(np.zeros(1, np.int64), f"axis{n}"),
-    ]
+    constants = {
+        f"w{n}": in_order(layer.weight),
+        f"v{n}": in_order(layer.back),
+        f"b{n}": np.concatenate([in_order(layer.bias), in_order(layer.back_bias)], axis=1),
+        f"axis{n}": np.zeros(1, np.int64),
+    }
     nodes = [
         helper.make_node("Unsqueeze", [inputs, f"axis{n}"], [f"sequence{n}"]),
         helper.make_node("Unsqueeze", [f"state{n}", f"axis{n}"], [f"before{n}"]),

@@ -7,7 +7,6 @@ a web page.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from string import Template
@@ -23,7 +22,7 @@ from hydro_env.plant.plant import USUAL_DELAY
 from hydro_env.plant.validation import accepted
 from hydro_env.units import RPM
 
-from .c_printer import RESERVED, literal, source
+from .c_printer import RESERVED, listed, literal, source
 from .c_printer import expression as c_expression
 from .templates import template
 
@@ -87,7 +86,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     """The source of a rig with the effects of a model, at its values."""
     plant = Plant(model)
     model, kernel = plant.model, plant.kernel
-    reader = Reader(reserved=RESERVED)
+    reader = Reader(reserved=RESERVED, fuses=True)
     reader.reserve("exp", "tanh", "cos", "sin", "enter", "leave", "send", "arrive")
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
@@ -110,7 +109,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         kept=2 * kernel.num_rows, total=kernel.num_cells, rpm=f"{plant.tolerance / RPM:g}", sent=sent,
     )  # fmt: skip
     numbers = Template(_NUMBERS).substitute(
-        initial=_table(literal(x, "double") for x in plant.memory.reshape(-1).tolist()),
+        initial=listed(literal(x, "double") for x in plant.memory.reshape(-1).tolist()),
         settable=",\n    ".join(by_row.get(n, "{0, 0, 0, 0}") for n in range(kernel.num_rows)),
         known="\n".join(f"#define {name} {value}" for name, value in known.items()),
     )
@@ -152,8 +151,3 @@ def _accepted(name: str, ends: tuple[float, float], shared: bool) -> str:
     """A row of the table `settable`."""
     numbers = ", ".join(literal(x, "double") for x in (parameter_of(name).neutral, *accepted(ends)))
     return f"{{{1 + shared}, {numbers}}}"
-
-
-def _table(numbers: Iterable[str]) -> str:
-    text = ", ".join(numbers)
-    return "\n    ".join(textwrap.wrap(text, 120, break_long_words=False))

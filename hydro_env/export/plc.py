@@ -6,17 +6,15 @@ Structured Text, and as PLCopen XML, which engineering tools import (`plcopen`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from hydro_env import __version__
 from hydro_env.errors import InputError
 from hydro_env.plant import Scales, load_model, scales_of
 from hydro_env.units import BAR, RPM
 
-from .controllers import block_of, tuned_on, written
+from .controllers import texts_of, tuned_on, write_program
 from .plcopen import plcopen_xml
 from .structured_text import INPUTS, block_name
 from .templates import template
@@ -28,12 +26,8 @@ __all__ = ["SIGNALS", "Cards", "plc_files"]
 SIGNALS = {"10V": -1, "4-20mA": 0}
 #: How long a speed may stay the same, to the last digit, against a command that has changed much, s.
 FROZEN = 0.2
-#: Of each kind of sensor: the unit of its range, that unit in SI, the tens of its fault code, and the range on a rig of a size.
-_KINDS: dict[str, tuple[str, float, int, Callable[[Scales], float]]] = {
-    "Speed": ("rpm", RPM, 1, lambda rig: 1200.0 * rig.speed),
-    "Current": ("A", 1.0, 3, lambda rig: 2.0 * rig.current),
-    "Pressure": ("bar", BAR, 4, lambda rig: 100.0 * rig.pressure),
-}
+#: Of each kind of sensor: the unit of its range, that unit in SI, the tens of its fault code, and the range on the paper's rig.
+_KINDS = {"Speed": ("rpm", RPM, 1, 1200.0), "Current": ("A", 1.0, 3, 2.0), "Pressure": ("bar", BAR, 4, 100.0)}
 #: What the project says of each sensor, and of each kind of sensor, by the place in the template.
 _PARTS = {
     "raw": "    {name}Raw{at} : INT; (* from the card *)\n",
@@ -61,29 +55,29 @@ class Cards:
 
 def plc_files(
     spec: str, folder: Path, period: float, plant: str | None, single: bool, trust: bool, fallback: str, cards: Cards
-) -> dict[str, Any]:  # fmt: skip
-    """Writes plc.st, plc.xml and export.json; what the latter holds. `fallback` is a controller that goes by the speeds alone.
+) -> None:  # fmt: skip
+    """Writes plc.st, plc.xml and export.json. `fallback` is a controller that goes by the speeds alone.
 
     InputError for controllers that have no Structured Text, a fallback that needs other sensors, and an unknown signal.
     """
     if cards.signal not in SIGNALS:
         raise InputError(f"--signal is {cards.signal!r}; {' or '.join(SIGNALS)} is right")
-    program, block = block_of(spec, period, plant, single, trust)
+    program, block = texts_of("st", spec, period, plant, single, trust)
     own = block_name(program)
-    other, second = block_of(fallback, period, plant, single, trust, f"Fallback_{own}")
+    other, second = texts_of("st", fallback, period, plant, single, trust, f"Fallback_{own}")
     if measured_by(other) & set(range(3, 7)):
         why = "which needs currents or pressures; one that goes by speeds is right"
         raise InputError(f"--fallback is {fallback!r}, {why}")
     rig = scales_of(load_model(plant or tuned_on(spec)))
     text = template("plc.st").substitute(
-        blocks=f"{block}\n{second}", controller_block=own, fallback_block=block_name(other), period=repr(period),
+        blocks="\n".join((block | second).values()), controller_block=own, fallback_block=block_name(other), period=repr(period),
         seconds=f"LREAL#{period!r}", milliseconds=f"{1e3 * period:.6g}", full=cards.full_scale,
         to_card=" AT %Q*" if cards.twincat else "", frozen=max(1, round(FROZEN / period)), top=_number(1200.0 * rig.speed),
         ramp=_number(600.0 * rig.speed), fallback_inputs=_call(other), controller_inputs=_call(program),
         **_sensors(program, rig, cards),
     )  # fmt: skip
     xml = plcopen_xml(text, own, period, __version__)
-    return written(folder, "plc", spec, {"plc.st": text, "plc.xml": xml}, program)
+    write_program(folder, "plc", spec, program, {"plc.st": text, "plc.xml": xml})
 
 
 def _number(value: float) -> str:
@@ -102,12 +96,13 @@ def _sensors(program: Program, rig: Scales, cards: Cards) -> dict[str, str]:
     made = dict.fromkeys(_PARTS, "")
     for name in _used(program):
         kind, channel = name[:-1], name[-1]
-        unit, _, code, top = _KINDS[kind]
+        unit, _, code, paper = _KINDS[kind]
+        top = paper * getattr(rig, kind.lower())
         for part in [part for part in _PARTS if part != "ranges" or channel == "1"]:
             made[part] += _PARTS[part].format(
                 name=name, kind=kind, channel=channel, unit=unit, code=f"{code}{channel}", full=cards.full_scale,
                 at=" AT %I*" if cards.twincat else "", low=SIGNALS[cards.signal] * cards.full_scale,
-                bottom=_number(-top(rig)), top=_number(top(rig)), calls="FrozenCalls" if kind == "Speed" else "0",
+                bottom=_number(-top), top=_number(top), calls="FrozenCalls" if kind == "Speed" else "0",
             )  # fmt: skip
     return made
 

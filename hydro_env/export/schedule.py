@@ -7,7 +7,7 @@ loops over arrays, whose operands are read in place where they lie side by side 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from hydro_env.ir.nodes import Assign, For, Run, Statement, Store, add, cast, co
 from hydro_env.ir.reader import Reader
 
 from .kernels import Handed, kernel_call
-from .symbols import Block, Expr, Items, Kernel, MaskedRows, below
+from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, below, each_once
 
 __all__ = ["Schedule"]
 
@@ -27,7 +27,6 @@ MAX_DEPTH = 5
 #: Neighbours in an array from which on they are moved in a loop, and numbers of a table from which on it is in single precision
 #: where that holds them exactly.
 MIN_LOOP, MIN_TABLE = 4, 64
-_DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
 _I, _J = var("i", "int"), var("j", "int")
 
 
@@ -54,7 +53,7 @@ class Schedule:
         self.variables: dict[str, tuple[str, int]] = {}
         self._reader, self._state, self._part = reader, state, part
         self._names: dict[Expr, str] = {}  # variables of expressions
-        self._arrays: dict[Any, _Slice] = {}  # and of blocks, and arrays of calls
+        self._arrays: dict[Any, str] = {}  # arrays of blocks and of calls
         self._depth: dict[Any, int] = {}
         self._uses = _uses(assignments.values())
         for expression in assignments.values():
@@ -64,7 +63,7 @@ class Schedule:
 
     def name_of(self, node: Any) -> str | None:
         """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
-        return self._names.get(node) or (self._arrays[node].array if node in self._arrays else None)
+        return self._names.get(node) or self._arrays.get(node)
 
     # --- names ----------------------------------------------------------------------------------------------------
     def _fresh(self, letter: str, kind: str, size: int = 0) -> str:
@@ -118,28 +117,31 @@ class Schedule:
             elif isinstance(node, Kernel):
                 self._call(node)
 
+    def _place(self, x: Expr) -> tuple[str, int] | None:
+        """The array in which a number lies and its index there, None where it has yet to be computed."""
+        if x.op == "leaf":
+            name, index = x.value
+            return (name if name == "measured" else self._state + name), index
+        return (self._arrays[x.args[0]], x.value) if x.op == "item" else None
+
     def _slice_of(self, row: list[Expr]) -> _Slice | None:
         """Where expressions lie side by side in an array."""
-        first = row[0]
-        if first.op == "leaf":
-            name, start = first.value
-            if all(x.op == "leaf" and x.value == (name, start + n) for n, x in enumerate(row)):
-                return _Slice(name if name == "measured" else self._state + name, first.kind, start)
-        if first.op == "item":
-            source, start = first.args[0], first.value
-            if all(
-                x.op == "item" and x.args[0] is source and x.value == start + n for n, x in enumerate(row)
-            ):
-                own = (source.call, source.place) if isinstance(source, Items) else source
-                return _Slice(self._arrays[own].array, first.kind, start)
-        return None
+        place = self._place(row[0])
+        if place is None or any(self._place(x) != (place[0], place[1] + n) for n, x in enumerate(row)):
+            return None
+        return _Slice(place[0], row[0].kind, place[1])
 
-    def _longest(self, run: list[Expr]) -> int:
-        """How many of the first lie side by side in one array; 1 where these are few."""
-        length = 1
-        while length < len(run) and self._slice_of(run[: length + 1]) is not None:
-            length += 1
-        return length if length >= MIN_LOOP else 1
+    def _runs(self, row: list[Expr]) -> Iterator[tuple[int, list[Expr]]]:
+        """Expressions cut into those that lie side by side in one array, and single ones where these are few; each with the place
+        of its first one."""
+        n = 0
+        while n < len(row):
+            count = 1
+            while n + count < len(row) and self._slice_of(row[n : n + count + 1]) is not None:
+                count += 1
+            run = row[n : n + count] if count >= MIN_LOOP else row[n : n + 1]
+            yield n, run
+            n += len(run)
 
     def _gathered(self, row: list[Expr]) -> _Slice:
         """Where expressions lie: in an array that holds them, a table where all are known, or a new one."""
@@ -151,19 +153,17 @@ class Schedule:
     def _filled(self, letter: str, row: list[Expr]) -> _Slice:
         """A new array of expressions."""
         kind = row[0].kind
-        name, n = self._fresh(letter, kind, len(row)), 0
-        while n < len(row):
-            count = self._longest(row[n:])
-            found = self._slice_of(row[n : n + count])
-            if count > 1 and found is not None:
-                self.body.append(self._loop(count, [Store(name, add(_I, const(n, "int")), found.at(_I))]))
+        name = self._fresh(letter, kind, len(row))
+        for n, run in self._runs(row):
+            found = self._slice_of(run)
+            if len(run) > 1 and found is not None:
+                self.body.append(self._loop(len(run), [Store(name, add(_I, const(n, "int")), found.at(_I))]))
             else:
-                self.body.append(Store(name, const(n, "int"), self._lowered(row[n])))
-            n += count
+                self.body.append(Store(name, const(n, "int"), self._lowered(run[0])))
         return _Slice(name, kind, 0)
 
     def _table(self, numbers: Any, kind: str, name: str = "table") -> _Slice:
-        array: np.ndarray[Any, Any] = np.asarray(numbers, _DTYPES[kind])
+        array: np.ndarray[Any, Any] = np.asarray(numbers, DTYPES[kind])
         single = array.astype(np.float32)
         if kind == "double" and array.size >= MIN_TABLE and bool(np.all(single == array)):
             array = single
@@ -182,7 +182,7 @@ class Schedule:
             return
         operands = [self._operand(row) for row in block.operands]
         name = self._fresh("v", block.kind, block.size)
-        self._arrays[block] = _Slice(name, block.kind, 0)
+        self._arrays[block] = name
         texts = [each.at(_I) if isinstance(each, _Slice) else each for each in operands]
         kinds = [row[0].kind for row in block.operands]
         texts = [cast(each, kind) for each, kind in zip(texts, kinds, strict=True)]
@@ -194,7 +194,7 @@ class Schedule:
         operand = self._gathered(row)
         weights = self._table(block.matrix, block.kind, "weights")
         name, total = self._fresh("v", block.kind, rows), var(self._fresh("sum", block.kind), block.kind)
-        self._arrays[block] = _Slice(name, block.kind, 0)
+        self._arrays[block] = name
         weight = cast(weights.at(add(mul(const(columns, "int"), _I), _J)), block.kind)
         more = Assign(total.value, op("add", total, op("mul", weight, cast(operand.at(_J), block.kind))))
         inner: list[Statement] = [
@@ -209,11 +209,11 @@ class Schedule:
         places: dict[int, _Slice] = {}
         for place in {each for each in how.handed if isinstance(each, int)} | {*how.written}:
             before = call.before[place]
-            found = self._slice_of(before)
             if place in how.written:
-                self._arrays[call, place] = places[place] = self._copied(before)
+                places[place] = self._copied(before)
+                self._arrays[call.after[place]] = places[place].array
             else:
-                places[place] = found or self._filled("a", before)
+                places[place] = self._slice_of(before) or self._filled("a", before)
         handed = [self._handed(each, places) for each in how.handed]
         self.body.append(Run(nodes.Expr("call", "int", tuple(handed), how.name)))
 
@@ -237,24 +237,25 @@ class Schedule:
     # --- the end ----------------------------------------------------------------------------------------------------
     def _stores(self, assignments: dict[tuple[str, int], Expr]) -> list[Statement]:
         """Stores, with neighbours from the same array together. What reads the state gets a variable first."""
-        stores: list[Statement] = []
-        items = list(assignments.items())
-        n = 0
-        while n < len(items):
-            (name, start), first = items[n]
-            array = name if name == "command" else self._state + name
-            count = 1
-            while n + count < len(items) and items[n + count][0] == (name, start + count):
-                count += 1
-            count = self._longest([value for _, value in items[n : n + count]])
-            if count > 1:
-                value = self._safe([value for _, value in items[n : n + count]]).at(_I)
-                stores.append(self._loop(count, [Store(array, add(_I, const(start, "int")), value)]))
-            elif first.op in ("const", "item") or first in self._names:
-                stores.append(Store(array, const(start, "int"), self._lowered(first)))
+        rows: dict[tuple[str, int], list[Expr]] = {}  # of neighbours, by the array and the index of the first
+        for (name, index), x in assignments.items():
+            first = next(reversed(rows), None)
+            if first is not None and first[0] == name and first[1] + len(rows[first]) == index:
+                rows[first].append(x)
             else:
-                stores.append(Store(array, const(start, "int"), self._variable(first)))
-            n += count
+                rows[name, index] = [x]
+        stores: list[Statement] = []
+        for (name, start), row in rows.items():
+            array = name if name == "command" else self._state + name
+            for n, run in self._runs(row):
+                x, place = run[0], const(start + n, "int")
+                if len(run) > 1:
+                    value = self._safe(run).at(_I)
+                    stores.append(self._loop(len(run), [Store(array, add(_I, place), value)]))
+                elif x.op in ("const", "item") or x in self._names:
+                    stores.append(Store(array, place, self._lowered(x)))
+                else:
+                    stores.append(Store(array, place, self._variable(x)))
         return stores
 
     def _safe(self, run: list[Expr]) -> _Slice:
@@ -265,15 +266,7 @@ class Schedule:
 
 def _uses(roots: Iterable[Expr]) -> Counter[Any]:
     """How often each node is read."""
-    counts: Counter[Any] = Counter()
-    stack: list[Any] = list(roots)
-    counts.update(stack)
-    seen: set[Any] = set()
-    while stack:
-        node = stack.pop()
-        if node in seen:
-            continue
-        seen.add(node)
+    counts: Counter[Any] = Counter(roots)
+    for node in each_once(roots):
         counts.update(below(node))
-        stack += below(node)
     return counts

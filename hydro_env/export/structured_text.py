@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from hydro_env import __version__
 from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
@@ -39,15 +40,14 @@ INPUTS = {
     "Pressure2": "Pa", "CommandInForce1": "-1 to 1", "CommandInForce2": "-1 to 1",
 }  # fmt: skip
 #: What else the block declares.
-_OWN = (
-    "Reset", "Command1", "Command2", "Fault", "Fresh", "Started", "Missed", "Given", "Measured", "HoldCalls", "Index",
-)  # fmt: skip
+_OWN = "Reset Command1 Command2 Fault Fresh Started Missed Given Measured HoldCalls Index".split()
 #: What a project declares beside it.
 _OTHERS = ("AnalogInput", "Controller", "Fallback", "SpeedSynchronisation", "Plc", "Main")
 
 
-def structured_text(program: Program, version: str, about: str) -> str:
-    """The function block of a readable program. TraceError for a controller that calls compiled functions."""
+def structured_text(program: Program, about: str) -> dict[str, str]:
+    """The text of NAME.st for a readable program, by file. `about`: a sentence on the controller. TraceError for a controller that
+    calls compiled functions."""
     reader, gains, divided = Reader(), list(_gains(program)), divisors(program)
     parts = (program.first, program.next)
     schedules = [Schedule(part, reader, "s_", "ab"[n]) for n, part in enumerate(parts)]
@@ -60,22 +60,23 @@ def structured_text(program: Program, version: str, about: str) -> str:
         called = names.of_part(schedule, part, program.names) | renamed
         variables |= {called[name]: kind for name, kind in schedule.variables.items()}
         bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
-    inputs = "".join(f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items())
-    kept = [(renamed[f"s_{each.name}"], _type(each.kind, each.size)) for each in program.state]
+    inputs = [f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items()]
+    inputs += [declared for _, _, declared in gains]
+    state = [f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state]
     gathered = "".join(f"Given[{n}] := {each};\n" for n, each in enumerate(INPUTS))
     most = _literal(MAX_VALUE, "double")
     within = [f"ABS({name}) <= {most}" for name, _, _ in gains]
     within += [f"{name} > LREAL#0.0" for name, old, _ in gains if old in divided]
     checked = f"IF NOT ({' AND '.join(within)}) THEN\n    Fault := TRUE;\nEND_IF;\n" if within else ""
     samples, last = held_samples(program.period), len(MEASURED) - 1
-    return template("controller.st").substitute(
-        name=block_name(program), period=repr(program.period), about=about, version=version,
-        state="".join(f"    {name} : {kind};\n" for name, kind in kept),
-        inputs=inputs + "".join(declared for _, _, declared in gains),
+    text = template("controller.st").substitute(
+        name=block_name(program), period=repr(program.period), about=about, version=__version__,
+        state="".join(state), inputs="".join(inputs),
         variables="".join(f"    {name} : {_type(*each)};\n" for name, each in variables.items()),
         constants="".join(_table(renamed[each.name], each) for each in reader.tables.values()), gathered=gathered, hold=HOLD,
         samples=samples, last=last, most=most, checked=checked, first=bodies[0], next=bodies[1],
     )  # fmt: skip
+    return {f"{identifier(program.name)}.st": text}
 
 
 def block_name(program: Program) -> str:

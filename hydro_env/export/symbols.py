@@ -16,29 +16,38 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from hydro_env.ir import nodes
-from hydro_env.ir.nodes import wider
 
 __all__ = [
-    "Block", "Expr", "Items", "Kernel", "MaskedRows", "Place", "RowNumbers", "Symbols", "TraceError", "below", "cast", "constant",
-    "interned", "item", "known", "leaf", "operate", "symbols",
+    "DTYPES", "Block", "Expr", "Items", "Kernel", "MaskedRows", "RowNumbers", "Symbols", "TraceError", "below", "cast",
+    "constant", "each_once", "interned", "item", "known", "leaf", "operate", "symbols",
 ]  # fmt: skip
 
 #: Elements from which on an operation stays together.
 TOGETHER = 16
-_DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
+#: NumPy types by the kinds of numbers (`hydro_env.ir`).
+DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
 
 
 class TraceError(TypeError):
     """What a traced controller does that cannot be followed."""
 
 
-class Expr(nodes.Expr):
+class _Shared:
+    """What copies of a controller have in common."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: Any) -> Any:
+        return self
+
+
+class Expr(_Shared, nodes.Expr):
     """A number, as an operation on others; equal ones are the same object.
 
     Beside operations `op` is "const" (`value`), "leaf" (`value`: the name of an array and an index into it), or "item" (`args[0]`
@@ -56,32 +65,23 @@ class Expr(nodes.Expr):
             limit = max if op == "max" else min
             self.low, self.high = limit(x.low for x in args), limit(x.high for x in args)
 
-    def __deepcopy__(self, memo: Any) -> Expr:
-        return self
+    def _plain(self, refused: str) -> Any:
+        if self.op != "const":
+            raise TraceError(refused)
+        return self.value
 
     def __bool__(self) -> bool:
-        if self.op == "const":
-            return bool(self.value)
-        raise TraceError(
-            "what is done depends on a measured value: an `if` on it cannot be followed, `np.where` can"
+        return bool(
+            self._plain(
+                "what is done depends on a measured value: an `if` on it cannot be followed, `np.where` can"
+            )
         )
 
     def __float__(self) -> float:
-        if self.op == "const":
-            return float(self.value)
-        raise TraceError("a measured value is made a plain number")
+        return float(self._plain("a measured value is made a plain number"))
 
     def __index__(self) -> int:
-        if self.op == "const":
-            return int(self.value)
-        raise TraceError("a measured value is used as an index")
-
-
-class _Shared:
-    """What copies of a controller have in common."""
-
-    def __deepcopy__(self, memo: Any) -> Any:
-        return self
+        return int(self._plain("a measured value is used as an index"))
 
 
 @dataclass(eq=False)
@@ -97,44 +97,23 @@ class Block(_Shared):
 
 @dataclass(eq=False)
 class Kernel(_Shared):
-    """A call of a compiled function. `arguments`: numbers, constant arrays, tables of named tuples, and a `Place` for each of the
-    `arrays`, which held the expressions `before`."""
+    """A call of a compiled function with `arguments`. Among them are `arrays`, which held the expressions `before`, and single
+    `numbers`, masks of rows included, both in their order; `after`: what it leaves in the arrays that it writes to, by place."""
 
     function: Any
-    arguments: list[Any]
-    arrays: list[Symbols] = field(default_factory=list)
-    before: list[list[Expr]] = field(default_factory=list)
+    arguments: tuple[Any, ...]
+    arrays: list[Symbols]
+    before: list[list[Expr]]
+    numbers: list[Expr]
+    after: dict[int, Items] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
 class Items(_Shared):
-    """An array that a `Kernel` leaves behind: number `place` of its arrays."""
+    """An array that a `Kernel` leaves behind."""
 
     call: Kernel
-    place: int
     kind: str
-
-
-@dataclass(frozen=True)
-class Place:
-    """An array among the arguments of a recorded call: its number, kind and shape."""
-
-    number: int
-    kind: str
-    shape: tuple[int, ...]
-
-
-def _expressions_in(tree: Any) -> list[Expr]:
-    """The expressions among the arguments of a call."""
-    if isinstance(tree, Expr):
-        return [tree]
-    if isinstance(tree, MaskedRows):
-        return [tree.mask]
-    if isinstance(tree, dict):
-        return [x for each in tree.values() for x in _expressions_in(each)]
-    if isinstance(tree, list):
-        return [x for each in tree for x in _expressions_in(each)]
-    return []
 
 
 def below(node: Any) -> list[Any]:
@@ -143,9 +122,20 @@ def below(node: Any) -> list[Any]:
         return list(node.args)
     if isinstance(node, Items):
         return [node.call]
-    if isinstance(node, Kernel):
-        return [x for row in node.before for x in row] + _expressions_in(node.arguments)
-    return [x for row in node.operands for x in row]
+    rows = [*node.before, node.numbers] if isinstance(node, Kernel) else node.operands
+    return [x for row in rows for x in row]
+
+
+def each_once(roots: Iterable[Any]) -> Iterator[Any]:
+    """Some nodes and all below them."""
+    seen: set[Any] = set()
+    stack = list(roots)
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen.add(node)
+            yield node
+            stack += below(node)
 
 
 #: The expressions of a trace by what they are.
@@ -163,10 +153,7 @@ def interned() -> Iterator[None]:
 
 
 def _made(op: str, kind: str, args: tuple[Any, ...] = (), value: Any = None) -> Expr:
-    shown = value
-    if op == "const" and isinstance(value, float):
-        shown = value.hex() if math.isfinite(value) else repr(value)
-    key = (op, kind, tuple(map(id, args)), shown)
+    key = (op, kind, tuple(map(id, args)), repr(value))  # repr tells -0.0 from 0.0
     made = _interned.get()
     if key not in made:
         made[key] = Expr(op, kind, args, value)
@@ -175,8 +162,7 @@ def _made(op: str, kind: str, args: tuple[Any, ...] = (), value: Any = None) -> 
 
 def constant(value: Any, kind: str) -> Expr:
     """A number that is known, rounded to its kind."""
-    plain = _DTYPES[kind](value)
-    return _made("const", kind, (), plain.item())
+    return _made("const", kind, (), DTYPES[kind](value).item())
 
 
 def leaf(name: str, index: int, kind: str) -> Expr:
@@ -192,15 +178,10 @@ def item(block: Block | Items, index: int) -> Expr:
 def kind_of(dtype: Any) -> str:
     """The kind of numbers of a NumPy type. TraceError for one that C has no number for."""
     dtype = np.dtype(dtype)
-    if dtype == np.bool_:
-        return "bool"
-    if dtype.kind in "iu":
-        return "int"
-    if dtype == np.float32:
-        return "float"
-    if dtype == np.float64:
-        return "double"
-    raise TraceError(f"numbers of type {dtype} cannot be followed")
+    kind = "int" if dtype.kind in "iu" else next((k for k, own in DTYPES.items() if own == dtype), None)
+    if kind is None:
+        raise TraceError(f"numbers of type {dtype} cannot be followed")
+    return kind
 
 
 def cast(x: Expr, kind: str) -> Expr:
@@ -215,55 +196,52 @@ def cast(x: Expr, kind: str) -> Expr:
 
 
 # --- operations on numbers ---------------------------------------------------------------------------------------------
-_COMPARED = {
+_UFUNCS: dict[str, Any] = {
     "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
-}  # fmt: skip
-_LOGIC = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
-_WHOLE: dict[str, Callable[..., Any]] = {
+    "and": np.logical_and, "or": np.logical_or, "not": np.logical_not,
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.absolute, "max": np.maximum,
-    "min": np.minimum, "sign": np.sign,
+    "min": np.minimum, "sign": np.sign, "div": np.true_divide, "sqrt": np.sqrt, "exp": np.exp, "expm1": np.expm1,
+    "tanh": np.tanh, "hypot": np.hypot, "floor": np.floor, "log": np.log, "sin": np.sin, "cos": np.cos,
 }  # fmt: skip
-_REAL: dict[str, Callable[..., Any]] = {
-    "div": np.true_divide, "sqrt": np.sqrt, "exp": np.exp, "expm1": np.expm1, "tanh": np.tanh, "hypot": np.hypot,
-    "floor": np.floor, "log": np.log, "sin": np.sin, "cos": np.cos,
+_BY_UFUNC = {function: name for name, function in _UFUNCS.items()} | {
+    np.bitwise_and: "and", np.bitwise_or: "or", np.invert: "not", np.fabs: "abs",
 }  # fmt: skip
-_NUMPY: dict[str, Any] = {**_COMPARED, **_LOGIC, **_WHOLE, **_REAL}
-_BY_UFUNC = {function: name for name, function in _NUMPY.items()} | {np.bitwise_and: "and", np.bitwise_or: "or",
-             np.invert: "not", np.fabs: "abs", np.positive: "positive"}  # fmt: skip
 
 
-def kind_of_result(op: str, kinds: Sequence[str]) -> str:
-    """The kind of the result, as NumPy promotes it."""
-    widest = wider(*kinds)
-    if op in _COMPARED or op in _LOGIC:
-        return "bool"
-    if "int" in kinds and "float" in kinds:
-        widest = "double"
-    if op in _REAL and widest in ("bool", "int"):
-        return "double"
-    return widest
+@cache
+def _promoted(op: str, given: tuple[Any, ...]) -> tuple[tuple[str, ...], str]:
+    """The kinds in which an operation takes its operands, and that of its result, as NumPy promotes what is given: kinds, or
+    `int` and `float` of Python, which are weak."""
+    if op in ("and", "or", "not"):
+        return ("bool",) * len(given), "bool"
+    if op == "where":
+        kinds, kind = _promoted("add", given[1:])
+        return ("bool", *kinds), kind
+    types = [each if isinstance(each, type) else np.dtype(DTYPES[each]) for each in given]
+    *operands, result = map(kind_of, _UFUNCS[op].resolve_dtypes((*types, None)))
+    return tuple(operands), result
 
 
 def operate(op: str, args: Sequence[Expr]) -> Expr:
     """An operation on numbers; on known ones it is carried out, as NumPy does."""
-    kind = kind_of_result(op, [a.kind for a in args])
-    operands = [a if op in _COMPARED or op in _LOGIC else cast(a, kind) for a in args]
-    if op in _COMPARED:
-        widest = wider(*(a.kind for a in args))
-        operands = [cast(a, widest) for a in args]
-    if op in _LOGIC:
-        operands = [cast(a, "bool") for a in args]
-    if all(a.op == "const" for a in operands):
-        with np.errstate(all="ignore"):
-            values: list[Any] = [_DTYPES[a.kind](a.value) for a in operands]
-            return constant(_NUMPY[op](*values), kind)
+    kinds, kind = _promoted(op, tuple(x.kind for x in args))
+    operands = list(map(cast, args, kinds))
     simple = _simpler(op, operands)
-    return simple if simple is not None else _made(op, kind, tuple(operands))
+    if simple is not None:
+        return simple
+    if any(x.op != "const" for x in operands):
+        return _made(op, kind, tuple(operands))
+    with np.errstate(all="ignore"):
+        return constant(_UFUNCS[op](*(DTYPES[x.kind](x.value) for x in operands)), kind)
 
 
 def _simpler(op: str, a: Sequence[Expr]) -> Expr | None:
     """What changes no finite number: factors of one and zero, sums with nothing; and what a known truth decides."""
-    known = [x.value if x.op == "const" else None for x in a]
+    known = [x.known for x in a]
+    if op == "where":
+        return a[2] if known[0] is False else a[1] if known[0] is True or a[1] is a[2] else None
+    if None not in known:
+        return None
     if op == "mul" and known[0] == 1.0:
         return a[1]
     if op == "mul" and 0.0 in known:  # what is multiplied is finite
@@ -273,41 +251,21 @@ def _simpler(op: str, a: Sequence[Expr]) -> Expr | None:
     if op == "sub" and known[1] == 0.0:
         return a[0]
     if op in ("add", "sub") and math.inf in (abs(known[0] or 0.0), abs(known[1] or 0.0)):
-        sign = -1.0 if op == "sub" and known[0] is None else 1.0
-        return constant(sign * float(known[1] if known[0] is None else known[0]), a[0].kind)  # type: ignore[arg-type]
+        return operate(op, [constant(x.known or 0.0, x.kind) for x in a])
     if op in ("mul", "div") and known[1] == 1.0:
         return a[0]
-    if op == "and":
-        if False in known:
-            return constant(False, "bool")
-        return a[1] if known[0] is True else a[0] if known[1] is True else None
-    if op == "or":
-        if True in known:
-            return constant(True, "bool")
-        return a[1] if known[0] is False else a[0] if known[1] is False else None
+    if op in ("and", "or") and (True in known or False in known):
+        decided = op == "or"
+        return constant(decided, "bool") if decided in known else a[1] if known[1] is None else a[0]
     if op == "sub" and a[0] is a[1]:
         return constant(0.0, a[0].kind)
+    if op in ("max", "min") and a[0] is a[1]:
+        return a[0]
     if op in ("max", "min"):
-        return _limited(op, a[0], a[1])
+        x, y = a if op == "max" else reversed(a)
+        # The one that is never on the other's side, where their limits say so.
+        return a[0] if x.low >= y.high else a[1] if y.low >= x.high else None
     return None
-
-
-def _limited(op: str, x: Expr, y: Expr) -> Expr | None:
-    """The one of two that is never the other's side, where their limits say so."""
-    if x is y:
-        return x
-    if op == "max":
-        return x if x.low >= y.high else y if y.low >= x.high else None
-    return x if x.high <= y.low else y if y.high <= x.low else None
-
-
-def choose(test: Expr, a: Expr, b: Expr) -> Expr:
-    """`a` where the test holds, else `b`."""
-    kind = kind_of_result("add", [a.kind, b.kind])
-    test, a, b = cast(test, "bool"), cast(a, kind), cast(b, kind)
-    if test.op == "const":
-        return a if test.value else b
-    return a if a is b else _made("where", kind, (test, a, b))
 
 
 # --- arrays --------------------------------------------------------------------------------------------------------------
@@ -342,11 +300,6 @@ class Guard:
         return self.truth.op != "const" or bool(self.truth.value)
 
 
-def _method(name: str) -> Any:
-    """A method of an array that is the function of its name among `_FUNCTIONS`."""
-    return lambda array, *args, **more: _FUNCTIONS[name](array, *args, **more)
-
-
 class Symbols(np.ndarray):
     """An array of expressions, all of one kind."""
 
@@ -355,64 +308,63 @@ class Symbols(np.ndarray):
 
     @property
     def kind(self) -> str:
-        flat = self.view(np.ndarray).reshape(-1)
-        return flat[0].kind if flat.size else "double"
+        return _kind(self.view(np.ndarray))
 
     def elements(self) -> list[Expr]:
         """All elements, row by row."""
         return list(self.view(np.ndarray).reshape(-1))
 
     def __getitem__(self, index: Any) -> Any:
-        index, _ = _plain_index(index)
-        chosen = _gathered(self, index)
-        return chosen if chosen is not None else _wrapped(super().__getitem__(index))
+        """What is measured in an index makes a choice among all that it can be. A mask of one rig (`x[~planned]`) chooses that
+        rig: what is read there is only used where the mask holds."""
+        parts, axis, _ = _parts_of(index)
+        plain = self.view(np.ndarray)
+        if axis is None:
+            return _wrapped(plain[parts])
+        if axis == 0 and parts[0].kind == "bool":
+            return _wrapped(plain[(np.zeros(1, int), *parts[1:])])
+        result = None
+        for value in range(self.shape[axis]):
+            one = _wrapped(plain[_with(parts, axis, value)])
+            test = _extended(_blockwise("eq", [parts[axis], value]), one.ndim)
+            result = one if result is None else _blockwise("where", [test, one, result])
+        return result
 
     def __setitem__(self, index: Any, value: Any) -> None:
-        index, mask = _plain_index(index)
-        if isinstance(index, Symbols) and index.kind == "bool":  # a mask of measured truth
-            mask_array, index = index, Ellipsis
-            value = _where(_extended(mask_array, self.ndim), value, self)
-        parts = index if isinstance(index, tuple) else (index,)
-        measured = [n for n, each in enumerate(parts) if isinstance(each, Symbols)]
-        if measured:
-            self._put(parts, measured[0], value, mask)
+        parts, axis, mask = _parts_of(index)
+        if axis is not None and parts[axis].kind == "bool":  # a mask of measured truth
+            own = (...,) if len(parts) == 1 else (np.zeros(1, int), *parts[1:])
+            old = self[own]
+            self[own] = _blockwise("where", [_extended(parts[axis], old.ndim), value, old])
             return
-        now: Any = self.view(np.ndarray)[index]
-        kind = self.kind
-        values: Any = np.broadcast_to(_objects(value), np.shape(now))
-        made = np.empty(np.shape(now), object)
-        for place in np.ndindex(made.shape):
-            new = cast(values[place], kind)
-            old: Any = now[place] if made.shape else now
-            made[place] = new if mask is None else choose(mask, new, old)
-        self.view(np.ndarray)[index] = made if made.shape else made[()]
+        if axis is not None:  # each element whose place is measured, where the place is its own
+            (place,) = parts[axis].elements()
+            for n in range(self.shape[axis]):
+                here = operate("eq", [place, constant(n, "int")])
+                both = symbols([here if mask is None else operate("and", [here, mask])], ())
+                own = _with(parts, axis, n)
+                self[own] = _blockwise("where", [both, value, self[own]])
+            return
+        now, kind = self.view(np.ndarray), self.kind
 
-    def _put(self, parts: tuple[Any, ...], axis: int, value: Any, mask: Expr | None) -> None:
-        """Sets elements whose place is measured: each one where the place is its own."""
-        (place,) = parts[axis].elements()
-        for n in range(self.shape[axis]):
-            here = operate("eq", [place, constant(n, "int")])
-            both = here if mask is None else operate("and", [here, mask])
-            at = np.full(parts[axis].shape, n)
-            index = (*parts[:axis], at, *parts[axis + 1 :])
-            old = _wrapped(self.view(np.ndarray)[index])
-            self[index] = _where(symbols([both], ()), value, old)
+        def put(new: Expr, old: Expr) -> Expr:
+            return cast(new, kind) if mask is None else operate("where", [mask, cast(new, kind), old])
+
+        now[parts] = np.frompyfunc(put, 2, 1)(_objects(value), now[parts])
 
     def astype(self, dtype: Any, *args: Any, **more: Any) -> Symbols:  # type: ignore[override]
-        kind = kind_of(dtype)
-        return _mapped(lambda x: cast(x, kind), self)
+        return _wrapped(_cast(_objects(self), kind_of(dtype)))
 
-    any, all, max, min, sum, mean = map(_method, ("any", "all", "max", "min", "sum", "mean"))  # type: ignore[assignment]
+    def mean(self, *args: Any, **more: Any) -> Any:
+        return _mean(self, *args, **more)
 
     def __bool__(self) -> bool:
         return bool(self.view(np.ndarray).item())
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **more: Any) -> Any:
         out, where = more.pop("out", None), more.pop("where", True)
-        more.pop("dtype", None)
         if method == "reduce":
-            axis, keepdims = more.get("axis", 0), more.get("keepdims", False)
-            return _reduced(_BY_UFUNC[ufunc], inputs[0], axis, keepdims)
+            return _reduced(_BY_UFUNC[ufunc], inputs[0], more.get("axis", 0), more.get("keepdims", False))
         if method != "__call__" or where is not True:
             raise TraceError(f"numpy.{ufunc.__name__}.{method} cannot be followed")
         result = _product(*inputs) if ufunc is np.matmul else _elementwise(ufunc, inputs)
@@ -422,25 +374,21 @@ class Symbols(np.ndarray):
         return out[0]
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        own = _FUNCTIONS.get(function.__name__)
+        own = _FUNCTIONS.get(function)
         if own is not None:
             return own(*args, **kwargs)
-        return _wrapped(function(*map(_bare, args), **{key: _bare(value) for key, value in kwargs.items()}))
+        return _wrapped(super().__array_function__(function, types, tuple(map(_alike, args)), kwargs))
 
 
 def symbols(elements: Iterable[Expr], shape: tuple[int, ...]) -> Symbols:
     """An array of these expressions."""
-    array = np.empty(math.prod(shape), object)
-    for n, each in enumerate(elements):
-        array[n] = each
-    return array.reshape(shape).view(Symbols)
+    return np.fromiter(elements, object).reshape(shape).view(Symbols)
 
 
 def known(array: Any) -> Symbols:
     """A constant array as expressions."""
     array = np.asarray(array)
-    kind = kind_of(array.dtype)
-    return symbols((constant(x, kind) for x in array.reshape(-1)), array.shape)
+    return _wrapped(np.frompyfunc(partial(constant, kind=kind_of(array.dtype)), 1, 1)(array))
 
 
 def _wrapped(result: Any) -> Any:
@@ -453,58 +401,47 @@ def _wrapped(result: Any) -> Any:
     return result
 
 
-def _bare(value: Any) -> Any:
-    """Symbols as plain arrays of objects, also in lists; real arrays beside them as constants."""
-    if isinstance(value, Symbols):
-        return value.view(np.ndarray)
+def _alike(value: Any) -> Any:
+    """A list that holds symbols with real arrays in it as constants."""
     if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
-        return [
-            _bare(known(each) if isinstance(each, np.ndarray) and each.dtype != object else each)
-            for each in value
-        ]
+        return [_objects(each).view(Symbols) if isinstance(each, np.ndarray) else each for each in value]
     return value
 
 
 def _objects(value: Any) -> Any:
-    """Anything as an array of expressions; Python numbers are weak: they take the kind of what they meet."""
-    if isinstance(value, Symbols):
-        return value.view(np.ndarray)
+    """Anything as a plain array of expressions."""
     if isinstance(value, Guard):
-        return symbols([value.truth], ()).view(np.ndarray)
+        value = symbols([value.truth], ())
     array = np.asarray(value)
-    if array.dtype == object:
-        return array
-    return known(array).view(np.ndarray)
+    return array if array.dtype == object else known(array).view(np.ndarray)
 
 
-def _plain_index(index: Any) -> tuple[Any, Expr | None]:
-    """An index without masks of rows, and the mask."""
-    if isinstance(index, MaskedRows):
-        return np.zeros(1, int), index.mask
-    if isinstance(index, tuple) and any(isinstance(each, MaskedRows) for each in index):
-        mask = next(each.mask for each in index if isinstance(each, MaskedRows))
-        return tuple(np.zeros(1, int) if isinstance(each, MaskedRows) else each for each in index), mask
-    return index, None
+def _kind(array: Any) -> str:
+    """The kind of an array of expressions."""
+    return array.flat[0].kind if array.size else "double"
 
 
-def _gathered(array: Symbols, index: Any) -> Any:
-    """array[index] where a part of the index is measured: a choice among all that it can be. None for plain indices.
+def _cast(array: Any, kind: str) -> Any:
+    """An array of expressions in another kind."""
+    return np.frompyfunc(partial(cast, kind=kind), 1, 1)(array)
 
-    A mask of one rig (`x[~planned]`) chooses that rig: what is read there is only used where the mask holds."""
-    parts = index if isinstance(index, tuple) else (index,)
-    if not any(isinstance(each, Symbols) for each in parts):
-        return None
-    first = parts[0]
-    if isinstance(first, Symbols) and first.kind == "bool":
-        return _wrapped(array.view(np.ndarray)[(np.zeros(1, int), *parts[1:])])
-    axis, measured = next((n, each) for n, each in enumerate(parts) if isinstance(each, Symbols))
-    result = None
-    for value in range(array.shape[axis]):
-        here = tuple(np.full(measured.shape, value) if n == axis else each for n, each in enumerate(parts))
-        one = _wrapped(array.view(np.ndarray)[here])
-        test = _elementwise(np.equal, (measured, value))
-        result = one if result is None else _where(_extended(test, one.ndim), one, result)
-    return result
+
+def _each(op: str, count: int = 2) -> Any:
+    """An operation as NumPy's function of arrays of expressions."""
+    return np.frompyfunc(lambda *row: operate(op, row), count, 1, identity=None)
+
+
+def _parts_of(index: Any) -> tuple[tuple[Any, ...], int | None, Expr | None]:
+    """The parts of an index without masks of rows, the place of the one that is measured, and the mask."""
+    given = index if isinstance(index, tuple) else (index,)
+    mask = next((each.mask for each in given if isinstance(each, MaskedRows)), None)
+    parts = tuple(np.zeros(1, int) if isinstance(each, MaskedRows) else each for each in given)
+    return parts, next((n for n, each in enumerate(parts) if isinstance(each, Symbols)), None), mask
+
+
+def _with(parts: tuple[Any, ...], axis: int, value: int) -> tuple[Any, ...]:
+    """An index with a known number in the place of the measured one."""
+    return (*parts[:axis], np.full(parts[axis].shape, value), *parts[axis + 1 :])
 
 
 def _extended(mask: Symbols, ndim: int) -> Symbols:
@@ -513,67 +450,32 @@ def _extended(mask: Symbols, ndim: int) -> Symbols:
     return plain.reshape(plain.shape + (1,) * (ndim - plain.ndim)).view(Symbols)
 
 
-def _mapped(function: Callable[..., Expr], *arrays: Any) -> Symbols:
-    together = np.broadcast_arrays(*(_objects(each) for each in arrays))
-    flat = [each.reshape(-1) for each in together]
-    return symbols((function(*row) for row in zip(*flat, strict=True)), together[0].shape)
-
-
-def _weak(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool | np.generic)
-
-
-def _strong(inputs: Sequence[Any]) -> list[Any]:
-    """Inputs whose plain Python numbers have taken the kind that NumPy gives them beside the others."""
-    kinds = [_objects(each).reshape(-1)[0].kind for each in inputs if not _weak(each) and _objects(each).size]
-    widest = wider(*kinds) if kinds else "int"
-    made = []
-    for each in inputs:
-        if _weak(each):
-            own = "int" if isinstance(each, int) else "double"
-            kind = widest if widest in ("float", "double") or (own == "int" and widest == "int") else own
-            each = symbols([constant(each, kind)], ())
-        made.append(each)
-    return made
-
-
 def _elementwise(ufunc: Any, inputs: Sequence[Any]) -> Any:
-    if ufunc is np.power:
-        return _power(*inputs)
     if ufunc is np.isfinite:
-        return _elementwise(np.less, (_elementwise(np.absolute, inputs), math.inf))
-    if ufunc is np.square:
-        return _power(inputs[0], 2)
-    op = _BY_UFUNC.get(ufunc)
-    if op is None:
-        raise TraceError(f"numpy.{ufunc.__name__} cannot be followed")
-    if op == "positive":
+        return _blockwise("lt", [_blockwise("abs", inputs), math.inf])
+    if ufunc in (np.power, np.square):
+        return _power(*inputs)
+    if ufunc is np.positive:
         return inputs[0]
-    return _blockwise(op, _strong(inputs))
+    if ufunc not in _BY_UFUNC:
+        raise TraceError(f"numpy.{ufunc.__name__} cannot be followed")
+    return _blockwise(_BY_UFUNC[ufunc], inputs)
 
 
-def _blockwise(op: str, inputs: Sequence[Any]) -> Symbols:
+def _blockwise(op: str, inputs: Sequence[Any]) -> Any:
     """An operation element by element; many stay together."""
-    together = np.broadcast_arrays(*(_objects(each) for each in inputs))
-    shape = together[0].shape
-    rows = [list(each.reshape(-1)) for each in together]
-    size = len(rows[0])
-    if not size:
-        return symbols([], shape)
-    act = (lambda *row: choose(*row)) if op == "where" else (lambda *row: operate(op, row))
-    # The first and the last say whether there is anything to do at all.
-    if size < TOGETHER or all(x.op == "const" for row in rows for x in row):
-        return symbols((act(*row) for row in zip(*rows, strict=True)), shape)
-    kinds = [row[0].kind for row in rows]
-    if op == "where":
-        kind = kind_of_result("add", kinds[1:])
-        rows = [[cast(x, "bool") for x in rows[0]], *(_cast_row(row, kind) for row in rows[1:])]
-    else:
-        kind = kind_of_result(op, kinds)
-        common = "bool" if op in _LOGIC else wider(*kinds) if op in _COMPARED else kind
-        rows = [_cast_row(row, common) for row in rows]
-    block = Block(op, kind, rows, size)
-    return symbols((item(block, n) for n in range(size)), shape)
+    arrays = [_objects(each) for each in inputs]
+    weak = [type(each) in (int, float) for each in inputs]
+    given = tuple(type(x) if w else _kind(a) for x, a, w in zip(inputs, arrays, weak, strict=True))
+    kinds, kind = _promoted(op, given)
+    arrays = [_cast(a, k) if w else a for a, k, w in zip(arrays, kinds, weak, strict=True)]
+    together = np.broadcast(*arrays)
+    if together.size >= TOGETHER:
+        rows = [list(np.broadcast_to(each, together.shape).flat) for each in arrays]
+        if any(x.op != "const" for row in rows for x in row):
+            block = Block(op, kind, list(map(_cast_row, rows, kinds)), together.size)
+            return symbols((item(block, n) for n in range(block.size)), together.shape)
+    return _wrapped(_each(op, len(arrays))(*arrays))
 
 
 def _cast_row(row: list[Expr], kind: str) -> list[Expr]:
@@ -584,96 +486,59 @@ def _cast_row(row: list[Expr], kind: str) -> list[Expr]:
     return [item(block, n) for n in range(len(row))]
 
 
-def _power(base: Any, power: Any) -> Any:
+def _power(base: Any, power: Any = 2) -> Any:
     if not isinstance(power, int | float) or power not in (0.5, 2, 3):
         raise TraceError(f"the power {power} cannot be followed; 0.5, 2 and 3 can")
     if power == 0.5:
-        return _elementwise(np.sqrt, (base,))
-    squared = _elementwise(np.multiply, (base, base))
-    return squared if power == 2 else _elementwise(np.multiply, (squared, base))
+        return _blockwise("sqrt", [base])
+    squared = _blockwise("mul", [base, base])
+    return squared if power == 2 else _blockwise("mul", [squared, base])
 
 
 def _product(a: Any, b: Any) -> Symbols:
     """a (..., m, n) @ b (n, k) with a constant `b`."""
     if isinstance(b, Symbols) or not isinstance(a, Symbols):
         raise TraceError("only a product with a constant matrix on the right can be followed")
-    matrix = np.asarray(b)
-    plain = a.view(np.ndarray)
-    rows = plain.reshape(-1, plain.shape[-1])
-    kind = kind_of_result("mul", [rows[0][0].kind, kind_of(matrix.dtype)])
+    matrix, plain = np.asarray(b), a.view(np.ndarray)
+    weights, size = np.ascontiguousarray(matrix.T), matrix.shape[1]
+    (kind, _), _ = _promoted("mul", (a.kind, kind_of(matrix.dtype)))
     made: list[Expr] = []
-    for row in rows:
-        operands, weights = [_cast_row(list(row), kind)], np.ascontiguousarray(matrix.T)
-        block = Block("product", kind, operands, matrix.shape[1], weights)
-        made += [item(block, n) for n in range(matrix.shape[1])]
-    return symbols(made, (*plain.shape[:-1], matrix.shape[1]))
+    for row in plain.reshape(-1, plain.shape[-1]):
+        block = Block("product", kind, [_cast_row(list(row), kind)], size, weights)
+        made += [item(block, n) for n in range(size)]
+    return symbols(made, (*plain.shape[:-1], size))
 
 
-def _reduced(
-    op: str, array: Any, axis: Any = None, keepdims: bool = False, out: Any = None, **more: Any
-) -> Any:
-    plain = _objects(array)
-    axes = tuple(range(plain.ndim)) if axis is None else axis if isinstance(axis, tuple) else (axis,)
-    axes = tuple(each % plain.ndim for each in axes)
-    kept = [n for n in range(plain.ndim) if n not in axes]
-    moved = np.transpose(plain, (*kept, *axes)).reshape(*(plain.shape[n] for n in kept), -1)
-    result = np.empty(moved.shape[:-1], object)
-    for place in np.ndindex(result.shape):
-        row = moved[place]
-        total = cast(row[0], "int") if op == "add" and row[0].kind == "bool" else row[0]
-        for each in row[1:]:
-            total = operate(op, [total, each])
-        result[place] = total
-    if keepdims:
-        result = result.reshape([1 if n in axes else plain.shape[n] for n in range(plain.ndim)])
-    return result.view(Symbols)
-
-
-def _any(array: Any, axis: Any = None, **more: Any) -> Any:
-    found = _reduced("or", array, axis, **more)
-    return Guard(found.view(np.ndarray).item()) if axis is None else found
+def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
+    plain = _objects(array).copy(order="C")  # so that elements are taken row by row
+    if op == "add" and _kind(plain) == "bool":
+        plain = _cast(plain, "int")
+    result = _each(op).reduce(plain, axis=axis, keepdims=keepdims)
+    return Guard(result) if op == "or" and axis is None else _wrapped(result)
 
 
 def _mean(array: Any, axis: Any = None, keepdims: bool = False, **more: Any) -> Any:
-    plain = _objects(array)
     total = _reduced("add", array, axis, keepdims)
-    return _elementwise(np.true_divide, (total, plain.size // max(1, total.size)))
-
-
-def _where(test: Any, a: Any, b: Any) -> Symbols:
-    return _blockwise("where", [test, *_strong([a, b])])
+    return _blockwise("div", [total, array.size // max(1, total.size)])
 
 
 def _clip(array: Any, low: Any, high: Any, out: Any = None) -> Any:
-    result = _elementwise(np.minimum, (_elementwise(np.maximum, (array, low)), high))
-    if out is not None:
-        out[...] = result
-    return result
+    return np.minimum(np.maximum(array, low), high, out=out)
 
 
 def _copyto(to: Symbols, value: Any, where: Any = True) -> None:
-    if where is not True:
-        value = _where(np.broadcast_to(_objects(where), to.shape).view(Symbols), value, to)
-    to[...] = value
+    to[...] = value if where is True else _blockwise("where", [where, value, to])
 
 
-def _like(value: float) -> Callable[..., Symbols]:
-    def made(array: Any, dtype: Any = None, **more: Any) -> Symbols:
-        kind = kind_of(dtype) if dtype is not None else array.kind
-        return symbols((constant(value, kind) for _ in range(array.size)), array.shape)
-
-    return made
+def _filled(value: float, array: Any, dtype: Any = None, **more: Any) -> Symbols:
+    return known(np.full(array.shape, value, dtype or DTYPES[array.kind]))
 
 
 def _take_along_axis(array: Any, indices: Any, axis: int) -> Symbols:
     plain, picked = np.moveaxis(_objects(array), axis, -1), np.moveaxis(_objects(indices), axis, -1)
-    result = np.empty(picked.shape, object)
-    for place in np.ndindex(result.shape):
-        choices = np.broadcast_to(plain, (*picked.shape[:-1], plain.shape[-1]))[place[:-1]]
-        value = choices[0]
-        for n in range(1, len(choices)):
-            value = choose(operate("eq", [picked[place], constant(n, "int")]), choices[n], value)
-        result[place] = value
+    result = np.broadcast_to(plain[..., :1], picked.shape)
+    for n in range(1, plain.shape[-1]):
+        result = _each("where", 3)(_each("eq")(picked, constant(n, "int")), plain[..., n : n + 1], result)
     return np.moveaxis(result, -1, axis).view(Symbols)
 
 
@@ -687,19 +552,16 @@ def _flatnonzero(mask: Any) -> Any:
 def _sort(array: Any, axis: int = -1) -> Symbols:
     """By exchanges of neighbours, the last axis."""
     result = _objects(array).copy()
-    rows = result.reshape(-1, result.shape[-1])
-    for row in rows:
-        for end in range(len(row) - 1, 0, -1):
-            for n in range(end):
-                low, high = operate("min", [row[n], row[n + 1]]), operate("max", [row[n], row[n + 1]])
-                row[n], row[n + 1] = low, high
+    low, high = _each("min"), _each("max")
+    for end in range(result.shape[-1] - 1, 0, -1):
+        for n in range(end):
+            one, other = result[..., n], result[..., n + 1]
+            result[..., n], result[..., n + 1] = low(one, other), high(one, other)
     return result.view(Symbols)
 
 
-_REDUCTIONS = {"all": "and", "sum": "add", "max": "max", "amax": "max", "min": "min", "amin": "min"}
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "where": _where, "clip": _clip, "mean": _mean, "any": _any, "copyto": _copyto, "sort": _sort,
-    **{name: partial(_reduced, op) for name, op in _REDUCTIONS.items()},
-    "zeros_like": _like(0.0), "ones_like": _like(1.0), "empty_like": _like(0.0), "take_along_axis": _take_along_axis,
-    "flatnonzero": _flatnonzero, "copy": lambda array, **more: array.copy(),
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    np.where: lambda *inputs: _blockwise("where", inputs), np.clip: _clip, np.mean: _mean, np.copyto: _copyto,
+    np.zeros_like: partial(_filled, 0.0), np.ones_like: partial(_filled, 1.0), np.empty_like: partial(_filled, 0.0),
+    np.take_along_axis: _take_along_axis, np.flatnonzero: _flatnonzero, np.sort: _sort,
 }  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import inspect
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,18 +29,15 @@ from .symbols import (
     Items,
     Kernel,
     MaskedRows,
-    Place,
     RowNumbers,
     Symbols,
     TraceError,
-    below,
     cast,
-    constant,
+    each_once,
     interned,
     item,
     known,
     leaf,
-    operate,
     symbols,
 )  # fmt: skip
 
@@ -82,43 +79,35 @@ class Program:
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
     next: dict[tuple[str, int], Expr] = field(default_factory=dict)
 
+    def expressions(self) -> list[Expr]:
+        return [*self.first.values(), *self.next.values()]
+
+
+#: What makes new arrays.
+_FILLED = ("zeros", "empty", "ones", "full")
+
 
 # --- the stand-in for NumPy -------------------------------------------------------------------------------------------
 class _Numpy:
     """NumPy for traced modules: new arrays hold expressions, and symbols stay symbols where NumPy would make numbers."""
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(np, name)
+        own = getattr(np, "zeros" if name == "empty" else name)
+        return (lambda *shape, **more: known(own(*shape, **more))) if name in _FILLED else own
 
     @staticmethod
     def asarray(value: Any, dtype: Any = None) -> Any:
+        if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
+            value = np.stack(value)  # type: ignore[arg-type]
         if isinstance(value, Symbols):
             return value if dtype is None else value.astype(dtype)
         return np.asarray(value, dtype)
 
     ascontiguousarray = asarray
 
-    @staticmethod
-    def array(value: Any, dtype: Any = None) -> Any:
-        if isinstance(value, Symbols):
-            return value.copy() if dtype is None else value.astype(dtype)
-        if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
-            return np.stack(value)  # type: ignore[arg-type]
-        return np.array(value, dtype)
-
-    @staticmethod
-    def full(shape: Any, value: float, dtype: Any = float) -> Symbols:
-        return known(np.full(shape, value, dtype))
-
-    @staticmethod
-    def zeros(shape: Any, dtype: Any = float) -> Symbols:
-        return known(np.zeros(shape, dtype))
-
-    empty = zeros
-
-    @staticmethod
-    def ones(shape: Any, dtype: Any = float) -> Symbols:
-        return known(np.ones(shape, dtype))
+    @classmethod
+    def array(cls, value: Any, dtype: Any = None) -> Any:
+        return cls.asarray(value, dtype).copy()
 
     @staticmethod
     def arange(*bounds: Any) -> Any:
@@ -133,50 +122,32 @@ class _Recorder:
         self.py_func = function.py_func
 
     def __call__(self, *arguments: Any) -> None:
-        if not any(_has_symbols(each) for each in arguments):
+        parts = [part for each in arguments for part in _parts(each)]
+        if not parts:
             return self._function(*arguments)
-        call = Kernel(self._function, list(arguments))
-        seen: dict[int, int] = {}
-        for each in arguments:
-            for array in _arrays_of(each):
-                if id(array) not in seen:
-                    seen[id(array)] = len(call.arrays)
-                    call.arrays.append(array)
-                    call.before.append(array.elements())
-        call.arguments = [_frozen(each, seen) for each in arguments]
+        arrays = list({id(part): part for part in parts if isinstance(part, Symbols) and part.ndim}.values())
+        numbers = [
+            part.mask if isinstance(part, MaskedRows) else part.view(np.ndarray).item()
+            for part in parts
+            if isinstance(part, MaskedRows) or not part.ndim
+        ]
+        before = [array.elements() for array in arrays]
+        call = Kernel(self._function, arguments, arrays, before, numbers)
         for place in kernel_call(call, self._reader).written:
-            array = call.arrays[place]
-            after = Items(call, place, array.kind)
+            array = arrays[place]
+            after = call.after[place] = Items(call, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
             array.view(np.ndarray)[...] = made.view(np.ndarray)
         return None
 
 
-def _has_symbols(value: Any) -> bool:
-    if isinstance(value, tuple):
-        return any(map(_has_symbols, value))
-    return isinstance(value, Symbols | MaskedRows)
-
-
-def _arrays_of(value: Any) -> Iterator[Symbols]:
+def _parts(value: Any) -> Iterator[Symbols | MaskedRows]:
+    """What is not known beforehand of an argument."""
     if isinstance(value, tuple):
         for each in value:
-            yield from _arrays_of(each)
-    elif isinstance(value, Symbols) and value.ndim:
+            yield from _parts(each)
+    elif isinstance(value, Symbols | MaskedRows):
         yield value
-
-
-def _frozen(value: Any, seen: dict[int, int]) -> Any:
-    """An argument with arrays replaced by their places, and symbols by expressions."""
-    if isinstance(value, tuple):
-        fields = getattr(value, "_fields", None)
-        made = [_frozen(each, seen) for each in value]
-        return dict(zip(fields, made, strict=True)) if fields else made
-    if isinstance(value, Symbols):
-        return (
-            Place(seen[id(value)], value.kind, value.shape) if value.ndim else value.view(np.ndarray).item()
-        )
-    return value
 
 
 def _copies(own: set[str]) -> Copies:
@@ -198,26 +169,19 @@ def _copies(own: set[str]) -> Copies:
 # --- the state ---------------------------------------------------------------------------------------------------------
 def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> None:
     """All arrays of expressions, and all plain values, below an object, by their path."""
-    if isinstance(value, Symbols):
-        found[path] = value
-        return
     if isinstance(value, np.ndarray | np.generic | str | int | float | bool | type(None)):
         found[path] = value
         return
     if id(value) in seen or isinstance(value, type) or (callable(value) and not hasattr(value, "__dict__")):
         return
     seen.add(id(value))
+    inner: Iterable[tuple[Any, Any]] = getattr(value, "__dict__", {}).items()
     if isinstance(value, dict):
-        for key, each in value.items():
-            _leaves(each, f"{path}.{key}", found, seen)
-    elif isinstance(value, tuple) and hasattr(value, "_fields"):
-        for key in value._fields:
-            _leaves(getattr(value, key), f"{path}.{key}", found, seen)
+        inner = value.items()
     elif isinstance(value, list | tuple):
-        for n, each in enumerate(value):
-            _leaves(each, f"{path}.{n}", found, seen)
-    else:
-        _leaves(getattr(value, "__dict__", {}), path, found, seen)
+        inner = zip(getattr(value, "_fields", range(len(value))), value, strict=True)
+    for key, each in inner:
+        _leaves(each, f"{path}.{key}", found, seen)
 
 
 def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
@@ -229,14 +193,10 @@ def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
     return arrays, plain
 
 
-def _observation(rig: Scales) -> Symbols:
+def _observation(rig: Scales) -> Any:
     """The scaled observation, as the environment of a rig of this size makes it of what is measured."""
-    made = []
-    for n, scale in enumerate(scales_on(rig).tolist()):
-        scaled = operate("div", [leaf("measured", n, "double"), constant(scale, "double")])
-        low, high = constant(-LIMIT, "double"), constant(LIMIT, "double")
-        made.append(cast(operate("min", [operate("max", [scaled, low]), high]), "float"))
-    return symbols(made, (1, len(made)))
+    measured = symbols((leaf("measured", n, "double") for n in range(len(MEASURED))), (1, len(MEASURED)))
+    return np.clip(measured / scales_on(rig), -LIMIT, LIMIT).astype(np.float32)
 
 
 def _sample(controller: Any, rig: Scales) -> Any:
@@ -244,19 +204,14 @@ def _sample(controller: Any, rig: Scales) -> Any:
     return inspect.unwrap(type(controller).act)(controller, _observation(rig))
 
 
-def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
-    plain = sent.elements() if isinstance(sent, Symbols) else known(sent).elements()
-    for channel in (0, 1):
-        given["command", channel] = cast(plain[channel], "double")
+def _commands(sent: Any) -> dict[tuple[str, int], Expr]:
+    """What is sent to both valves, in the place of the program's assignments."""
+    plain = (sent if isinstance(sent, Symbols) else known(sent)).elements()
+    return {("command", channel): cast(plain[channel], "double") for channel in (0, 1)}
 
 
 def trace(
-    controller: Any,
-    period: float,
-    name: str,
-    rig: Scales = PAPER,
-    readable: bool = False,
-    gains: bool = False,
+    controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False, gains: bool = False
 ) -> Program:
     """The program of a controller at a control period in s on a rig of this size; a `readable` one has names, and with `gains`
     those that are in use are inputs. TraceError, in one line, for what cannot be followed."""
@@ -267,19 +222,16 @@ def trace(
         controller.reset(1, period)
         if gains and isinstance(getattr(controller, "gains", None), dict):
             program.gains = _gains_as_inputs(controller)
-        _commands(_sample(controller, rig), program.first)
+        program.first = _commands(_sample(controller, rig))
         kept = _kept_by(controller)
         settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
             raise TraceError("what it keeps between samples changes its form after the first one")
-        changing = {
-            key for key, each in kept.items() if not (each.op == "const" or (gains and _of_gains_only(each)))
-        }
+        changing = {key for key, each in kept.items() if each.op != "const" and not _of_gains_only(each)}
         while True:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
-            program.next = {}
-            _commands(_sample(again, rig), program.next)
+            program.next = _commands(_sample(again, rig))
             after = _kept_by(again)
             more = {key for key, each in after.items() if key not in changing and each is not kept[key]}
             if not more:
@@ -295,12 +247,9 @@ def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
     """Inside, what local variables of traced functions hold when these end gets their names, unless it has one."""
 
     def seen(frame: Any, event: str, _: Any) -> None:
-        module = frame.f_globals.get("__name__", "")
-        if event != "return" or frame.f_code.co_name.startswith(
-            "<"
-        ):  # a comprehension's variables say little
-            return
-        if module.startswith(_TRACED) or module in own:
+        module, function = frame.f_globals.get("__name__", ""), frame.f_code.co_name
+        traced = module.startswith(_TRACED) or module in own
+        if event == "return" and traced and function[0] != "<":  # a comprehension's variables say little
             for name, value in frame.f_locals.items():
                 for n, each in enumerate(value.elements() if isinstance(value, Symbols) else ()):
                     names.setdefault(each, (name, n if value.size > 1 else -1))
@@ -318,33 +267,27 @@ def _gains_as_inputs(controller: Any) -> list[tuple[Gain, list[float]]]:
     given, made = dict(controller.gains_given()), []
     for gain in controller.GAINS:
         values = np.asarray(given[gain.name])
-        if np.all(values == gain.default) or values.size > 2:
-            continue
-        leaves = [leaf(GAIN + gain.name, n, "double") for n in range(values.size)]
-        given[gain.name] = symbols(leaves, values.shape)
-        made.append((gain, values.reshape(-1).tolist()))
+        if np.any(values != gain.default) and values.size <= 2:
+            leaves = [leaf(GAIN + gain.name, n, "double") for n in range(values.size)]
+            given[gain.name] = symbols(leaves, values.shape)
+            made.append((gain, values.reshape(-1).tolist()))
     controller.gains = controller.converted(given)
     return made
 
 
 def measured_by(program: Program) -> set[int]:
     """Which measurements a program reads."""
-    leaves = _needed([*program.first.values(), *program.next.values()])
-    return {n for name, n in leaves if name == "measured"}
+    return {n for name, n in _leaves_of(program.expressions()) if name == "measured"}
 
 
 def divisors(program: Program) -> set[tuple[str, int]]:
     """The leaves that something is divided by."""
-    found = set()
-    for node in _nodes([*program.first.values(), *program.next.values()]):
-        if isinstance(node, Expr) and node.op == "div":
-            found |= _needed([node.args[1]])
-    return found
+    nodes = each_once(program.expressions())
+    return _leaves_of(node.args[1] for node in nodes if isinstance(node, Expr) and node.op == "div")
 
 
 def _of_gains_only(x: Expr) -> bool:
-    leaves = _needed([x])
-    return bool(leaves) and all(name.startswith(GAIN) for name, _ in leaves)
+    return {name[: len(GAIN)] for name, _ in _leaves_of([x])} == {GAIN}
 
 
 def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
@@ -416,21 +359,9 @@ def _check_settled(controller: Any, rig: Scales) -> None:
             raise TraceError(f"{path.strip('.')} is a plain Python value that changes from sample to sample")
 
 
-def _nodes(roots: list[Expr]) -> Iterator[Any]:
-    """Expressions with all that is below them."""
-    seen: set[int] = set()
-    stack: list[Any] = list(roots)
-    while stack:
-        node = stack.pop()
-        if id(node) not in seen:
-            seen.add(id(node))
-            yield node
-            stack += below(node)
-
-
-def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
-    """The leaves that expressions read."""
-    return {node.value for node in _nodes(roots) if isinstance(node, Expr) and node.op == "leaf"}
+def _leaves_of(roots: Iterable[Expr]) -> set[tuple[str, int]]:
+    """Measurements, gains and elements of the state that expressions read."""
+    return {node.value for node in each_once(roots) if isinstance(node, Expr) and node.op == "leaf"}
 
 
 def _fill(
@@ -446,10 +377,10 @@ def _fill(
                 f"{path.strip('.')} and {other[0].strip('.')} are the same array in some samples only"
             )
     needed: set[tuple[str, int]] = set()
-    found = {key for key in _needed([*program.next.values()]) if key in by_name}
+    found = _leaves_of(program.next.values()) & by_name.keys()
     while found - needed:
         needed |= found
-        found = {key for key in _needed([after[by_name[key]] for key in needed]) if key in by_name}
+        found = _leaves_of(after[by_name[key]] for key in needed) & by_name.keys()
     for path, name in names.items():
         mine = [n for (own, n) in needed if own == name]
         if not mine or any(each.name == name for each in program.state):

@@ -202,6 +202,8 @@ class Reader:
     tables: dict[Any, Table] = field(default_factory=dict)
     reserved: frozenset[str] = frozenset()
     """Words of the language to be printed, which are no names."""
+    fuses: bool = False
+    """Whether a product and a sum in one statement are one operation, a * b + c in one rounding."""
     _results: dict[str, Value | None] = field(default_factory=dict)
     _kept: dict[str, list[bool]] = field(default_factory=dict)
     _sources: dict[Any, Source] = field(default_factory=dict)
@@ -289,6 +291,10 @@ def _stored(node: ast.AST) -> Iterator[str]:
             yield child.id
         elif isinstance(child, ast.stmt | ast.Tuple):
             yield from _stored(child)
+
+
+def _negative(x: Expr) -> Expr:
+    return op("neg", x) if x.known is None else const(-x.known, x.kind)
 
 
 # --- functions --------------------------------------------------------------------------------------------------------
@@ -528,14 +534,21 @@ class _Body:
                 return self._subscript(self.value(base, into), index, into, node)
             case ast.BinOp(left, ast.Pow(), right):
                 return self._power(node, self.number(left, into), self.number(right, into).known, into)
+            case ast.BinOp(term, ast.Add() | ast.Sub(), ast.BinOp(_, ast.Mult(), _) as product) if (
+                self.whole.fuses
+            ):
+                return self._fused(product, term, into, less_product=isinstance(node.op, ast.Sub))
+            case ast.BinOp(ast.BinOp(_, ast.Mult(), _) as product, ast.Add() | ast.Sub(), term) if (
+                self.whole.fuses
+            ):
+                return self._fused(product, term, into, less_term=isinstance(node.op, ast.Sub))
             case ast.BinOp(left, operator, right) if type(operator) in _BINARY:
                 numbers = [self.number(each, into) for each in (left, right)]
                 return self._operation(_BINARY[type(operator)], numbers)
             case ast.BoolOp(operator, parts):
                 return self._logic(isinstance(operator, ast.And), [self.number(p, into) for p in parts])
             case ast.UnaryOp(ast.USub(), operand):
-                one = self.number(operand, into)
-                return op("neg", one) if one.known is None else const(-one.known, one.kind)
+                return _negative(self.number(operand, into))
             case ast.UnaryOp(ast.Not(), operand):
                 one = self.number(operand, into)
                 return op("not", one) if one.known is None else const(not one.known, "bool")
@@ -625,6 +638,16 @@ class _Body:
             assert found is not None
             return found
         return op(name, a, b, kind="double" if name == "div" and whole else "")
+
+    def _fused(
+        self, product: ast.BinOp, term: ast.expr, into: list[Statement], less_product: bool = False, less_term: bool = False
+    ) -> Expr:  # fmt: skip
+        """A product and a term added; one operation unless they are whole numbers."""
+        a, b, c = (self.number(each, into) for each in (product.left, product.right, term))
+        a, c = _negative(a) if less_product else a, _negative(c) if less_term else c
+        if all(x.kind in ("int", "bool") for x in (a, b, c)):
+            return self._operation("add", [self._operation("mul", [a, b]), c])
+        return op("fma", a, b, c, kind="double")
 
     def _logic(self, both: bool, parts: list[Expr]) -> Expr:
         """`and` or `or` of numbers; what is known beforehand decides or drops out."""

@@ -12,7 +12,7 @@ from hydro_env.lab.jobs import Jobs
 from hydro_env.lab.page import section
 from hydro_env.lab.session import Session
 from hydro_env.lab.uploads import Upload, Uploads
-from hydro_env.lab.worker import Seen, Worker
+from hydro_env.lab.worker import Worker
 
 __all__ = ["DiagnosisPage"]
 
@@ -40,11 +40,9 @@ class DiagnosisPage:
         """Builds the part."""
         preset, jobs = self._worker.seen.session.settings.preset, self._jobs
         with section("Log and diagnosis"):
-            quiet_button("", self._toggle_recording).bind_text_from(
-                self._worker,
-                "seen",
-                lambda seen: "Stop recording" if recording(seen) else "Record a log, from rest",
-            )
+            record = quiet_button("", self._toggle_recording)
+            words = {True: "Record a log, from rest", False: "Stop recording"}
+            record.bind_text_from(self._worker, "seen", lambda seen: words[seen.session.recorded is None])
             Drop(LABEL, self._list, self._refuse)
             self._files = ui.element("div").classes("w-full")
             ui.label("With no log held out, the last third of the last log is.").classes("lab-soft")
@@ -68,7 +66,8 @@ class DiagnosisPage:
 
     # --- files ----------------------------------------------------------------------------------------------------
     def _toggle_recording(self) -> None:
-        self._worker.ask(Session.stop_recording if recording(self._worker.seen) else Session.record)
+        idle = self._worker.seen.session.recorded is None
+        self._worker.ask(Session.record if idle else Session.stop_recording)
 
     def _refuse(self, text: str) -> None:
         self._problem.text = text.removeprefix("hydro-env lab: ")
@@ -156,11 +155,6 @@ class DiagnosisPage:
             self._uploads.remove(upload)
         path = self._uploads.store("mapping.yaml", text)
         self._uploads.add(path, "mapping.yaml (from this page)", "mapping")
-
-
-def recording(seen: Seen) -> bool:
-    """Whether a log is being recorded."""
-    return seen.session.recorded is not None
 
 
 def _text(text: str) -> None:

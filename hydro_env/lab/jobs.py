@@ -10,6 +10,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from multiprocessing.connection import Connection
@@ -92,13 +93,12 @@ class Jobs:
     def _follow(self, messages: Connection, work: Path) -> None:
         assert self.latest is not None
         job = self.latest
-        try:
+        with suppress(EOFError, OSError):  # the process has ended
             while True:
                 changes = messages.recv()
                 added = changes.pop("warnings", ())
                 job = self.latest = replace(job, **changes, warnings=(*job.warnings, *added))
-        except (EOFError, OSError):
-            self._process.join()
+        self._process.join()
         try:
             ended = self._ended(job, work)
         except OSError as problem:

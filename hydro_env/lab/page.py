@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from html import escape
 from itertools import groupby
@@ -139,8 +140,7 @@ class RigPage:
             self._effects.clear()
             for part, holder, effects in self._ports:
                 holder.clear()
-                if part.value:
-                    self._fill(holder, effects)
+                self._fill(part, holder, effects)
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def show_time(self) -> None:
@@ -207,25 +207,25 @@ class RigPage:
         settings = self._worker.seen.session.settings
         splits = {OWN: "own: the rig's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
 
+        def choose(session: Session, **changes: Any) -> None:
+            now = replace(session.settings, **changes)
+            session.choose_valves(now.preset, now.split, now.number)
+
         def choose_preset(session: Session, preset: str) -> None:
             # A model file that has valves of its own is driven with them.
-            split = default_mismatch(preset, session.settings.split)
-            session.choose_valves(preset, split, session.settings.number)
-
-        def choose_split(session: Session, split: str) -> None:
-            session.choose_valves(session.settings.preset, split, session.settings.number)
+            choose(session, preset=preset, split=default_mismatch(preset, session.settings.split))
 
         def choose_number(_: Any) -> None:
             now = int(number.value or 0)
-            self._ask(
-                lambda session: session.choose_valves(session.settings.preset, session.settings.split, now)
-            )
+            self._ask(lambda session: choose(session, number=now))
 
         with section("Valves"):
             rigs = self._uploads.rigs(settings.preset)
             self._preset = self._select(rigs, "preset or model", "preset", choose_preset)
             with ui.element("div").classes("lab-row"):
-                self._select(splits, "split of pairs", "split", choose_split)
+                self._select(
+                    splits, "split of pairs", "split", lambda session, split: choose(session, split=split)
+                )
                 number = ui.number("number of the pair", value=settings.number, min=0, step=1, precision=0)
                 number.on("change", choose_number)
                 self._follow(number, lambda seen: seen.session.settings.number)
@@ -238,15 +238,14 @@ class RigPage:
             for port, effects in effects_by_port().items():
                 with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
                     holder = ui.element("div")
-                part.on_value_change(partial(self._open, holder, effects))
+                part.on_value_change(partial(self._fill, part, holder, effects))
                 self._ports.append((part, holder, effects))
         ui.timer(0.5, self._follow_effects)
 
-    def _open(self, holder: Any, effects: list[Effect], event: Any) -> None:
-        if event.value and not holder.default_slot.children:
-            self._fill(holder, effects)
-
-    def _fill(self, holder: Any, effects: list[Effect]) -> None:
+    def _fill(self, part: Any, holder: Any, effects: list[Effect], _: Any = None) -> None:
+        """Makes the sliders of a port that is open."""
+        if not part.value or holder.default_slot.children:
+            return
         scales = self._worker.seen.session.reach.scales
         with holder:
             for effect in effects:

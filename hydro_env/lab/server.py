@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import secrets
 import signal
 import socket
@@ -45,8 +46,8 @@ class Lab:
         self.uploads, self.jobs = Uploads(), Jobs(out)
         session = session or Session()
         self.worker = Worker(session, self._keep_log)
-        if Path(session.settings.preset).suffix in YAML_ENDINGS:
-            path = Path(session.settings.preset)
+        path = Path(session.settings.preset)
+        if path.suffix in YAML_ENDINGS:
             self.uploads.add(path, path.name, "model")
 
     def _keep_log(self, text: str) -> None:
@@ -106,9 +107,7 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
     async def result(request: Request) -> Response:
         folder, file = request.path_params["folder"], request.path_params["file"]
         path = lab.out / folder / file
-        if not (
-            folder.startswith("diagnosis_") and folder[10:].isdecimal() and file in RESULTS and path.is_file()
-        ):
+        if not (re.fullmatch(r"diagnosis_\d+", folder) and file in RESULTS and path.is_file()):
             return PlainTextResponse("there is no such result", 404)
         # A report has scripts of its own; none of them may drive the lab.
         return FileResponse(path, headers={"content-security-policy": "sandbox allow-scripts"})
@@ -134,9 +133,8 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
         try:
             listener.bind((HOST, port))
         except OSError as problem:
-            raise InputError(
-                f"--port {port}: cannot be used ({problem.strerror}); name another one"
-            ) from None
+            told = f"cannot be used ({problem.strerror}); name another one"
+            raise InputError(f"--port {port}: {told}") from None
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
 

@@ -17,7 +17,7 @@ from hydro_env.errors import InputError
 from hydro_env.lab.recording import MAX_SECONDS, Recording
 from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
-from hydro_env.tasks import Reference, load_scenario
+from hydro_env.tasks import load_scenario
 from hydro_env.units import RPM
 
 __all__ = ["CASES", "COLUMNS", "MANUAL", "SHOWN", "Session", "Settings", "Snapshot"]
@@ -120,10 +120,8 @@ class Session:
 
     def choose_scenario(self, name: str) -> None:
         """Follows a scenario from its beginning, over and over, or with `MANUAL` the set-point by hand. The rig runs on."""
-        manual = name == MANUAL
-        self._reference: Reference | None = (
-            None if manual else load_scenario(name, self._rig.scales).reference(PERIOD, self._stream())
-        )
+        scenario = None if name == MANUAL else load_scenario(name, self._rig.scales)
+        self._reference = None if scenario is None else scenario.reference(PERIOD, self._stream())
         self._row = 0
         self.settings = replace(self.settings, scenario=name)
         self._loads_changed()
@@ -131,9 +129,8 @@ class Session:
     def set_setpoint(self, rpm: float) -> None:
         """The set-point by hand, which is followed from now on."""
         most = self._rig.reach.speed_rpm
-        self.settings = replace(
-            self.settings, setpoint_rpm=Limits(-most, most, unit="rpm").check(rpm, "set-point")
-        )
+        rpm = Limits(-most, most, unit="rpm").check(rpm, "set-point")
+        self.settings = replace(self.settings, setpoint_rpm=rpm)
         if self.settings.scenario != MANUAL:
             self.choose_scenario(MANUAL)
 

@@ -59,9 +59,8 @@ class Uploads:
                 async for chunk in chunks:
                     size += len(chunk)
                     if size > MAX_BYTES:
-                        raise InputError(
-                            f"{name}: larger than {MAX_BYTES // 2**20} MiB; export a shorter part"
-                        )
+                        most = f"{MAX_BYTES // 2**20} MiB"
+                        raise InputError(f"{name}: larger than {most}; export a shorter part")
                     file.write(chunk)
             role = "fit" if ending in ENDINGS else await asyncio.to_thread(role_of, path, name)
         except BaseException:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import LINES, USUAL_UNITS, ChannelMapping, Mapping, Source, quantity_of
+from hydro_env.measured.log import RigLog
+from hydro_env.measured.mapping import LINES, USUAL_UNITS, Mapped, Mapping, quantity_of
 from hydro_env.measured.samples import MEASURED
 from hydro_env.units import BAR, RPM, from_si
-
-if TYPE_CHECKING:
-    from hydro_env.measured.log import RigLog
 
 __all__ = ["check_channels", "check_lines", "check_sizes", "follow"]
 
@@ -62,56 +59,44 @@ _SIZES = (
 )
 
 
-def _finding(
-    code: str, message: str, hint: str, signal: str, channel: int | None, column: str, sure: bool = False, **right: object
-) -> Finding:  # fmt: skip
-    """A finding about a signal of a channel (0, 1) or of the rig; `right` is what a mapping would have to say of it."""
-    key = None if channel is None else f"channel_{channel + 1}"
-    fix = {key: {signal: right}} if key else {signal: right}
-    number = None if channel is None else channel + 1
-    return Finding(code, message, hint, signal, number, column, sure=sure, fix=fix if right else None)
-
-
 def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Magnitudes that point to a wrong unit."""
-    for signal, channel, source in mapping.sources():
-        values = log.get(signal)
-        if values is None:
-            continue
-        one = values if channel is None else values[:, channel]
-        finite = one[np.isfinite(one)]
-        if signal == "temperature" and len(finite) and not 230.0 < float(np.median(finite)) < 430.0:
-            message = (
-                f"{source.column!r} peaks at {np.abs(finite).max() - 273.15:.4g} degC: is it in K or degF?"
-            )
-            yield _finding("unit", message, _IN_MAPPING, signal, channel, source.column)
-        elif len(finite) and finite.any():
-            yield from _size(log, signal, channel, source, float(np.abs(finite).max()))
+    for each in mapping.sources():
+        values = log.of(each.signal, each.channel)
+        finite = np.zeros(0) if values is None else values[np.isfinite(values)]
+        peak = float(np.abs(finite).max(initial=0.0))
+        if each.signal != "temperature":
+            yield from _size(log, each, peak) if peak > 0.0 else ()
+        elif len(finite) and not 230.0 < float(np.median(finite)) < 430.0:
+            message = f"{each.column!r} peaks at {peak - 273.15:.4g} degC: is it in K or degF?"
+            yield each.finding("unit", message, _IN_MAPPING)
     yield from _setpoint(log, mapping)
     yield from _supply(log, mapping)
 
 
-def _size(log: RigLog, signal: str, channel: int | None, source: Source, peak: float) -> Iterator[Finding]:
-    kind = log.kinds[channel or 0]
-    name = USUAL_UNITS[quantity_of(signal, kind)]
+def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
+    kind, given = log.kinds[mapped.channel or 0], mapped.source.unit
+    name = USUAL_UNITS[quantity_of(mapped.signal, kind)]
     name = "m/s" if name == "mm/s" else name
     peak = from_si(peak, name)
     driven = log.setpoint is not None and np.ptp(np.nan_to_num(log.setpoint)) > 0.0
     for size in _SIZES:
-        if signal not in size.signals or not size.low <= peak <= size.high or size.kind not in ("", kind):
+        if (
+            mapped.signal not in size.signals
+            or not size.low <= peak <= size.high
+            or size.kind not in ("", kind)
+        ):
             continue
-        if size.read_as and source.unit not in size.read_as:
+        if size.read_as and given not in size.read_as:
             continue
-        if size.moves and (channel is None or not _moves(log, channel)):
+        if size.moves and (mapped.channel is None or not _moves(log, mapped.channel)):
             continue
         if size.guess.endswith("slow") and driven:  # the set-point tells, see below
             continue
         moving = " though the axis moves" if size.moves else ""
-        message = f"{source.column!r} peaks at {peak:.4g} {name}{moving}: is it {size.guess}?"
-        right = {"unit": size.right[source.unit]} if source.unit in size.right else {}
-        yield _finding(
-            "unit", message, _IN_MAPPING, signal, channel, source.column, peak > size.sure, **right
-        )
+        message = f"{mapped.column!r} peaks at {peak:.4g} {name}{moving}: is it {size.guess}?"
+        right = {"unit": size.right[given]} if given in size.right else None
+        yield mapped.finding("unit", message, _IN_MAPPING, sure=peak > size.sure, right=right)
         return
 
 
@@ -130,90 +115,77 @@ def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             continue
         if np.corrcoef(speed, setpoint)[0, 1] < 0.9:  # it does not follow
             continue
-        slope, source = float(np.std(speed) / np.std(setpoint)), mapping.channels[channel]
+        slope, mapped = float(np.std(speed) / np.std(setpoint)), mapping.mapped("speed", channel)
         for factor, guess, right in (
             (RPM, "is the speed in rad/s", {"unit": "rad/s"}),
-            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", {}),
+            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", None),
             (6.0, "is the speed in deg/s", {"unit": "deg/s"}),
         ):
-            if source and log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
-                message = f"the speed of channel {channel + 1} follows the set-point with a factor of {slope:.3g}: {guess}?"
-                yield _finding(
-                    "unit", message, _IN_MAPPING, "speed", channel, source.speed.column, True, **right
-                )
+            if mapped and log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
+                told = f"the speed of channel {channel + 1} follows the set-point"
+                message = f"{told} with a factor of {slope:.3g}: {guess}?"
+                yield mapped.finding("unit", message, _IN_MAPPING, sure=True, right=right)
 
 
 def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
-    if log.supply is None or log.pressure is None:
-        return
     for channel in log.channels:
-        source = mapping.channels[channel]
-        if source is None or source.pressure is None or not log.has("pressure", channel):
+        mapped = mapping.mapped("pressure", channel)
+        if log.supply is None or log.pressure is None or mapped is None:
             continue
         pressure, supply = _clean(np.abs(log.pressure[:, channel]), log.supply)
         if not len(pressure):
             continue
         ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
         if ratio > 3.0:
-            message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
-            yield _finding("unit", message, _IN_MAPPING, "pressure", channel, source.pressure.column)
+            message = f"{mapped.column!r} is {ratio:.3g} times the supply pressure: another unit?"
+            yield mapped.finding("unit", message, _IN_MAPPING)
 
 
 def check_lines(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Line pressures beside each other and beside a load pressure: one that is missing, below vacuum, or of something else."""
     for channel in log.channels:
-        source = mapping.channels[channel]
-        named = [getattr(source, line) for line in LINES]
-        if not any(named):
+        named = [each for line in LINES if (each := mapping.mapped(line, channel))]
+        if not named:
             continue
-        present = [line for line in LINES if log.has(line, channel)]
-        if len(present) < 2:
-            here = next(part.column for part in named if part is not None)
+        if not all(log.has(line, channel) for line in LINES):
+            here = named[0].column
             message = f"channel {channel + 1} has {here!r} and no pressure of its other line"
             hint = "record both lines; one alone is not used"
             yield Finding("one_line", message, hint, "pressure", channel + 1, here)
             continue
-        a, b = (log.get(line)[:, channel] for line in LINES)  # type: ignore[index]
-        for line, values, part in zip(LINES, (a, b), named, strict=True):
-            least = float(np.nanquantile(values, 0.01))
+        for each in named:
+            least = float(np.nanquantile(log.of(each.signal, channel), 0.01))  # type: ignore[arg-type]
             if least < -_VACUUM:
-                message = f"{part.column!r} falls to {least / BAR:.4g} bar, no oil is below -1 bar"
+                message = f"{each.column!r} falls to {least / BAR:.4g} bar, no oil is below -1 bar"
                 hint = "is it a load pressure, upside down, or in another unit? Line pressures are above the tank's"
-                yield Finding("line_pressure", message, hint, line, channel + 1, part.column, sure=True)
-        yield from _load_beside_lines(log, channel, source, a - b)
+                yield each.finding("line_pressure", message, hint, sure=True)
+        if (load := mapping.mapped("pressure", channel)) and log.kinds[channel] == "motor":
+            yield from _load_beside_lines(log, load)
 
 
-def _load_beside_lines(
-    log: RigLog, channel: int, source: ChannelMapping | None, lines: np.ndarray
-) -> Iterator[Finding]:
+def _load_beside_lines(log: RigLog, mapped: Mapped) -> Iterator[Finding]:
     """A load pressure that is not the difference of both lines."""
-    if log.kinds[channel] != "motor" or not log.has("pressure", channel):
+    a, b, pressure = (log.of(signal, mapped.channel) for signal in (*LINES, "pressure"))
+    if a is None or b is None or pressure is None:
         return
-    assert log.pressure is not None and source is not None and source.pressure is not None
-    load, difference = _clean(log.pressure[:, channel], lines)
-    swing = float(np.std(load))
-    if len(load) < 20 or swing == 0.0:
+    load, difference = _clean(pressure, a - b)
+    swing = float(np.std(load)) if len(load) >= 20 else 0.0
+    if swing == 0.0 or float(np.std(load - difference)) < _LIKE * swing:
         return
-    if float(np.std(load - difference)) < _LIKE * swing:
-        return
-    column = source.pressure.column
     scale = float(difference @ load) / max(float(difference @ difference), 1e-30)
     if float(np.std(load + difference)) < _LIKE * swing:
         hint = "exchange the columns of the two lines, or give `sign: -1` for the load pressure"
-        message = f"{column!r} is pressure b less a"
+        message = f"{mapped.column!r} is pressure b less a"
     else:
-        message = f"{column!r} is not pressure a less b: about {scale:.3g} times that"
+        message = f"{mapped.column!r} is not pressure a less b: about {scale:.3g} times that"
         hint = "give the right columns and units in a mapping, or leave the load pressure out"
-    yield Finding("line_pressure", message, hint, "pressure", channel + 1, column, sure=True)
+    yield mapped.finding("line_pressure", message, hint, sure=True)
 
 
 def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Sign of each channel, channels exchanged, the same data twice."""
-    both = [mapping.channels[channel] for channel in (0, 1)]
     for channel in log.channels:
-        source = both[channel]
-        if source is not None:
-            yield from _sign(log, channel, source)
+        yield from _sign(log, mapping, channel)
     if log.channels != (0, 1):
         return
     own = [follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
@@ -223,53 +195,49 @@ def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             f"each speed follows the other channel's command (correlation {min(crossed) ** 0.5:.2f} or better) "
             f"rather than its own ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
         )
+        hint = "exchange the speed columns in a mapping"
         sure = min(crossed) > 0.6 and all(crossed[c] > own[c] + 0.3 for c in (0, 1))
-        fix = None
-        if both[0] is not None and both[1] is not None:
-            fix = {f"channel_{c + 1}": {"speed": {"column": both[1 - c].speed.column}} for c in (0, 1)}  # type: ignore[union-attr]
-        yield Finding(
-            "swapped", message, "exchange the speed columns in a mapping", "speed", sure=sure, fix=fix
-        )
+        other = [each for c in (1, 0) if (each := mapping.mapped("speed", c))]
+        fix = {f"channel_{c}": {"speed": {"column": each.column}} for c, each in enumerate(other, 1)}
+        yield Finding("swapped", message, hint, "speed", sure=sure, fix=fix)
     for signal in MEASURED:
         values = log.get(signal)
-        sources = [getattr(source, signal) if source else None for source in both]
-        if values is None or sources[0] is None or sources[1] is None:
+        both = [each for c in (0, 1) if (each := mapping.mapped(signal, c))]
+        if values is None or len(both) < 2:
             continue
         first, second = _clean(values[:, 0], values[:, 1])
         if len(first) > 10 and np.ptp(first) > 0 and np.array_equal(first, second):
             # Two simulated channels may really agree; then their commands do, too.
-            if signal == "speed" and np.array_equal(log.command_V[:, 0], log.command_V[:, 1], equal_nan=True):
-                continue
-            if signal != "speed" and np.array_equal(log.speed[:, 0], log.speed[:, 1], equal_nan=True):
-                continue
-            message = f"{sources[0].column!r} and {sources[1].column!r} hold the same values"
-            hint = "record each channel's own sensor"
-            yield Finding("duplicate_column", message, hint, signal, column=sources[1].column)
+            cause = log.command_V if signal == "speed" else log.speed
+            if not np.array_equal(cause[:, 0], cause[:, 1], equal_nan=True):
+                message = f"{both[0].column!r} and {both[1].column!r} hold the same values"
+                hint = "record each channel's own sensor"
+                yield Finding("duplicate_column", message, hint, signal, column=both[1].column)
 
 
-def _sign(log: RigLog, channel: int, source: ChannelMapping) -> Iterator[Finding]:
+def _sign(log: RigLog, mapping: Mapping, channel: int) -> Iterator[Finding]:
     """A speed or a current that falls when its command rises."""
-    falls = {}
-    for signal in ("speed", "current"):
-        values = log.get(signal)
-        if values is not None and getattr(source, signal) is not None and log.has(signal, channel):
-            falls[signal] = -follow(log.command_V[:, channel], values[:, channel], log.period)
-    speed, current = falls.get("speed", 0.0), falls.get("current", 0.0)
-    if speed > 0.4 and current > 0.8:
+    falls = {
+        signal: -follow(log.command_V[:, channel], log.get(signal)[:, channel], log.period)  # type: ignore[index]
+        for signal in ("speed", "current")
+        if log.has(signal, channel)
+    }
+    if falls.get("speed", 0.0) > 0.4 and falls.get("current", 0.0) > 0.8:
         # Both at once: it is the command that is upside down.
-        message = f"current and speed of channel {channel + 1} fall when its command rises (correlation {-speed:.2f})"
-        found = [("command", message, "the command", True)]
+        told = f"current and speed of channel {channel + 1} fall when its command rises"
+        found = [("command", f"{told} (correlation {-falls['speed']:.2f})", "the command", True)]
     else:
-        found = [
-            (signal, f"the {signal} of channel {channel + 1} falls when its command rises (correlation {-size:.2f})",
-             "the speed or the command" if "current" not in falls else f"the {signal}", size > sure)
-            for (signal, size), least, sure in zip(falls.items(), (0.4, 0.6), (0.7, 0.8), strict=False)
-            if size > least
-        ]  # fmt: skip
+        found = []
+        for (signal, size), least, sure in zip(falls.items(), (0.4, 0.6), (0.7, 0.8), strict=False):
+            if size > least:
+                told = f"the {signal} of channel {channel + 1} falls when its command rises"
+                which = f"the {signal}" if "current" in falls else "the speed or the command"
+                found.append((signal, f"{told} (correlation {-size:.2f})", which, size > sure))
     for signal, message, which, sure in found:
-        named = getattr(source, signal)
-        hint = f"give `sign: {-named.sign}` for {which} in a mapping"
-        yield _finding("sign", message, hint, signal, channel, named.column, sure, sign=-named.sign)
+        if mapped := mapping.mapped(signal, channel):
+            other = -mapped.source.sign
+            hint = f"give `sign: {other}` for {which} in a mapping"
+            yield mapped.finding("sign", message, hint, sure=sure, right={"sign": other})
 
 
 def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,25 +8,21 @@ two plugs swapped) and stays silent on a clean log.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
 from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
+from hydro_env.measured.log import RigLog
 from hydro_env.measured.mapping import Mapping
 from hydro_env.measured.names import unit_of
 from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
 from hydro_env.units import to_si, unit
 
-if TYPE_CHECKING:
-    from hydro_env.measured.log import RigLog
-
 __all__ = [
-    "LARGEST", "SETTLE_S", "InvalidSamples", "after_gaps", "check_clock", "check_log", "check_numbers", "check_units",
-    "jump_size", "long_gap",
+    "LARGEST", "SETTLE_S", "after_gaps", "check_clock", "check_log", "check_numbers", "check_units", "jump_size", "long_gap",
 ]  # fmt: skip
 
 LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
@@ -34,24 +30,22 @@ _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is record
 _MIN_PERIOD_S, _MAX_PERIOD_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
-InvalidSamples = dict[tuple[str, int], np.ndarray]
 
 
-def check_clock(
-    table: Table, column: str, unit: str, findings: list[Finding]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """The clock of a table: time in s (K,) and the indices (K,) of the rows to keep (None = all).
+def check_clock(table: Table, column: str, unit: str) -> tuple[np.ndarray, np.ndarray | slice]:
+    """The clock of a table: time in s (K,) and the rows to keep, as an index.
 
     `InputError` where a time is missing or runs backwards, where the stamps are too coarse to order the rows or nearer to
     each other than a microsecond; a few repeated stamps are dropped with a finding, gaps and an uneven rate are findings.
     """
+    findings = table.findings
     with np.errstate(all="ignore"):
         time = to_si(table.columns[column], unit)
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
-        raise _refused(table, column, "no time; every row needs one, so delete the row", bad[0])
+        raise table.refused(column, "no time; every row needs one, so delete the row", bad[0])
     check_numbers(table, column, time)
-    if abs(time[0]) > 1e6 or any(f.code == "time_stamps" for f in table.findings):
+    if abs(time[0]) > 1e6 or any(f.code == "time_stamps" for f in findings):
         message = f"time starts at {time[0]:.0f} s; counted from the first row"
         findings.append(Finding("epoch_time", message, column=column))
         # Seconds since 1970 have about seven digits after the point: enough for a clock in microseconds.
@@ -61,8 +55,8 @@ def check_clock(
     if len(back):
         first = back[0] + 1
         told = f"time runs backwards ({time[first - 1]:.6g} s, then {time[first]:.6g} s)"
-        raise _refused(table, column, f"{told}; time must increase, so split the log there", first)
-    keep = None
+        raise table.refused(column, f"{told}; time must increase, so split the log there", first)
+    keep: np.ndarray | slice = slice(None)
     same = np.flatnonzero(steps == 0)
     if len(same):
         row = table.row(same[0] + 1)
@@ -71,20 +65,19 @@ def check_clock(
         if len(same) > 0.01 * len(time) + 1 and not copies:
             told = f"{len(same)} rows repeat the time of the row before with other values"
             hint = "write more digits, or give `time: {sample_rate: ...}` in a mapping"
-            raise _refused(table, column, f"{told}; {hint}", same[0] + 1)
+            raise table.refused(column, f"{told}; {hint}", same[0] + 1)
         what = "are copies of the row before" if copies else "repeat the time of the row before"
         message = f"{len(same)} rows {what}, the first is row {row}; the later ones are dropped"
         findings.append(Finding("duplicate_time", message, "one row per instant", column=column, row=row))
         keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
         time = time[keep]
         if len(time) < 2:
-            raise _refused(table, column, "all rows have the same time; a log needs at least two")
+            raise table.refused(column, "all rows have the same time; a log needs at least two")
         steps = np.diff(time)
     if float(np.median(steps)) < _RESOLUTION_S:
         told = f"rows come every {np.median(steps):.3g} s; a clock is read to {_RESOLUTION_S:g} s"
-        raise _refused(table, column, f"{told}, so give its right unit in a mapping")
-    rows = table.lines if keep is None else table.lines[keep]
-    findings.extend(_rate(steps, time, rows, column, unit))
+        raise table.refused(column, f"{told}, so give its right unit in a mapping")
+    findings.extend(_rate(steps, time, table.lines[keep], column, unit))
     return time, keep
 
 
@@ -123,13 +116,7 @@ def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
     huge = np.flatnonzero(np.abs(values) > LARGEST)
     if len(huge):
         told = f"{table.columns[column][huge[0]]:.6g} is no measurement"
-        raise _refused(table, column, f"{told}; leave the cell empty where nothing was measured", huge[0])
-
-
-def _refused(table: Table, column: str, problem: str, row: int | None = None) -> InputError:
-    """The error for a column that cannot be used, because of a row (counted from 0) if that is given."""
-    where = "" if row is None else f"row {table.row(row)}, "
-    return InputError(f"{table.path}: {where}column {column!r}: {problem}")
+        raise table.refused(column, f"{told}; leave the cell empty where nothing was measured", huge[0])
 
 
 def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, unit: str) -> Iterator[Finding]:
@@ -161,33 +148,31 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
     yield from _clock_unit(column, time, median, unit)
 
 
-def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], InvalidSamples]:
-    """What is suspicious about the values of a log, and which samples are no measurements of the rig.
-
-    `rows` (T,) are the lines of the file that hold the samples; invalid ones come as masks (T,) by (signal, channel).
-    """
+def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> list[Finding]:
+    """What is suspicious about the values of a log, whose rows (T,) are these lines of the file. Samples that are no measurements
+    of the rig become NaN in the log's arrays, once all is looked at."""
     findings: list[Finding] = []
-    invalid: InvalidSamples = {}
-    for signal, channel, source in mapping.sources():
-        if channel is not None and log.has(signal, channel):
-            found, bad = check_samples(log, signal, channel, rows, source.column)
+    invalid: list[tuple[Any, np.ndarray]] = []
+    for each in mapping.sources():
+        if each.channel is not None and log.has(each.signal, each.channel):
+            found, bad = check_samples(log, each, rows)
             findings += found
-            if bad.any():
-                invalid[signal, channel] = bad
+            invalid.append((log.of(each.signal, each.channel), bad))
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
     findings += check_lines(log, mapping)
-    return findings, invalid
+    for values, bad in invalid:
+        values[bad] = np.nan
+    return findings
 
 
 def check_units(table: Table, mapping: Mapping) -> Iterator[Finding]:
     """Where the file itself gives a unit (a row of units, a unit in the binary file) and the mapping another one."""
-    parts: list[tuple[Any, ...]] = [(mapping.time.column, mapping.time.unit, None, None)]
-    for signal, channel, source in mapping.sources():
-        number = None if channel is None else channel + 1
-        parts += [(part.column, part.unit, signal, number) for part in (source, source.minus) if part]
+    parts: list[tuple[Any, ...]] = [(mapping.time.column or "", mapping.time.unit, None, None)]
+    for each in mapping.sources():
+        parts += [(part.column, part.unit, each.signal, each.number) for part in each.source.parts]
     for column, read_as, signal, number in parts:
-        said = table.units.get(column or "", "")
+        said = table.units.get(column, "")
         if said and (known := unit_of(said)) and known != unit(read_as):
             message = f"the file says that {column!r} is in {said}, it is read as {read_as}"
             yield Finding("unit", message, "give the right unit in a mapping", signal, number, column)

@@ -11,8 +11,8 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from hydro_env.errors import InputError
 from hydro_env.measured.cell_text import MISSING, is_number, is_value, seconds
@@ -39,25 +39,24 @@ class Header:
     open_end: bool = False
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """The cells of a line without blanks around them, none without letter or digit; whether it was written as a comment."""
 
     cells: list[str]
     comment: bool
 
-    @classmethod
-    def of(cls, text: str, delimiter: str) -> _Line:
-        mark = _COMMENT.match(text)
-        text = text[mark.end() :] if mark else text
-        if delimiter == " ":  # a unit in brackets belongs to the name before it
-            text, delimiter = "\t".join(re.sub(r"\s+(?=[(\[])", "", text).split()), "\t"
-        try:
-            cells = [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
-        except csv.Error:
-            cells = [text.strip()]
-        # Lines of dashes or stars say nothing.
-        return cls(cells if any(c.isalnum() for c in text) else [], mark is not None)
+
+def _line(text: str, delimiter: str) -> _Line:
+    mark = _COMMENT.match(text)
+    text = text[mark.end() :] if mark else text
+    if delimiter == " ":  # a unit in brackets belongs to the name before it
+        text, delimiter = "\t".join(re.sub(r"\s+(?=[(\[])", "", text).split()), "\t"
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+    except csv.Error:
+        cells = [text.strip()]
+    # Lines of dashes or stars say nothing.
+    return _Line(cells if any(c.isalnum() for c in text) else [], mark is not None)
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,7 @@ class _Shape:
         return [_kind(line.cells[place]) if place < len(line.cells) else "missing" for place in self.numeric]
 
 
-def find_header(
-    path: Path, lines: Sequence[str], row: int, delimiter: str | None, findings: list[Finding]
-) -> Header:
+def find_header(lines: Sequence[str], row: int, delimiter: str | None, findings: list[Finding]) -> Header:
     """The header in the first lines of a file, of which the first is row `row`. InputError for a delimiter that cannot be."""
     begin = next((n for n, line in enumerate(lines) if line.strip()), 0)
     if delimiter is None and lines and lines[begin].lower().startswith("sep="):
@@ -102,14 +99,12 @@ def find_header(
         delimiter = _delimiter(lines)
         if delimiter != ",":
             name = {"\t": "tab", " ": "blanks"}.get(delimiter, delimiter)
-            findings.append(
-                Finding("delimiter", f"columns are separated by {name!r}, read so", "write commas")
-            )
+            message = f"columns are separated by {name!r}, read so"
+            findings.append(Finding("delimiter", message, "write commas"))
     if len(delimiter) != 1 or delimiter in '"\r\n' or delimiter.isalnum():
-        raise InputError(
-            f"{path}: columns cannot be separated by {delimiter!r}; one mark is right, such as ; in `sep=;` or in the mapping"
-        )
-    parsed = [_Line([], False)] * begin + [_Line.of(line, delimiter) for line in lines[begin:]]
+        told = f"columns cannot be separated by {delimiter!r}"
+        raise InputError(f"{told}; one mark is right, such as ; in `sep=;` or in the mapping")
+    parsed = [_Line([], False)] * begin + [_line(line, delimiter) for line in lines[begin:]]
     full = [n for n, line in enumerate(parsed) if line.cells]
     shape = _shape([parsed[n] for n in full])
     top = _top(parsed, full, shape) if shape else None
@@ -118,36 +113,32 @@ def find_header(
         place = full[0] if full else 0
         return _named(parsed[place].cells if full else [], delimiter, place + 1)
     above = [n for n in full if n < top]
-    header, names, units = _above(parsed, above, shape, delimiter, top)
+    names, units = _names_and_units(parsed, above, shape, top)
     if names is None:
         message = "no line of column names: the columns are called by their numbers, 1, 2, ..."
         findings.append(Finding("no_names", message, row=row + top))
-    elif names > above[0]:
+        return Header(tuple(str(place + 1) for place in range(shape.filled)), delimiter, {}, top)
+    if names > above[0]:
         message = f"the column names stand in row {row + names}; what is above them is passed over"
         findings.append(Finding("preamble", message, row=row + names))
-    if units is not None:
-        findings.append(Finding("units_row", f"row {row + units} holds units, read so", row=row + units))
-    return header
+    if units:
+        place = row + above[-1]
+        findings.append(Finding("units_row", f"row {place} holds units, read so", row=place))
+    return _named(parsed[names].cells, delimiter, top, shape, units)
 
 
-def _above(
-    lines: Sequence[_Line], above: Sequence[int], shape: _Shape, delimiter: str, top: int
-) -> tuple[Header, int | None, int | None]:
-    """The header from the lines above the first row, and which of them hold names and units."""
-    names, units, said = above[-1] if above else None, None, {}
-    if len(above) > 1 and shape.is_names(lines[above[-2]]) and (said := _units(lines[above[-1]])):
-        names, units = above[-2], above[-1]
-    if names is not None and not shape.is_names(lines[names]):
-        # Too few or too many names are an error that reading finds; titles, comments and what stands apart are none.
-        apart = len(lines[names].cells) == 1 or lines[names].comment or names < top - 1
-        names = None if apart else names
-    if names is None:
-        return Header(_numbered(shape.filled), delimiter, {}, top), None, None
-    header = _named(lines[names].cells, delimiter, top, shape.filled)
-    if _with_comment(header.names, shape.width):
-        header = replace(header, names=header.names[:-1], open_end=True)
-    below = {name: said[place] for place, name in enumerate(header.names) if place in said}
-    return replace(header, units=header.units | below), names, units
+def _names_and_units(
+    lines: Sequence[_Line], above: Sequence[int], shape: _Shape, top: int
+) -> tuple[int | None, dict[int, str]]:
+    """Which of the lines above the first row holds the names, and the units by place of a line below it that holds units."""
+    if not above:
+        return None, {}
+    if len(above) > 1 and shape.is_names(lines[above[-2]]) and (units := _units(lines[above[-1]])):
+        return above[-2], units
+    names = above[-1]
+    # Too few or too many names are an error that reading finds; titles, comments and what stands apart are none.
+    apart = len(lines[names].cells) == 1 or lines[names].comment or names < top - 1
+    return (None if apart and not shape.is_names(lines[names]) else names), {}
 
 
 def _top(lines: Sequence[_Line], full: Sequence[int], shape: _Shape) -> int | None:
@@ -186,7 +177,7 @@ def _delimiter(lines: Sequence[str]) -> str:
     full = [line for line in lines if line.strip()]
     scores: dict[str, float] = {}
     for mark in _MARKS:
-        shape = _shape([_Line.of(line, mark) for line in full[-3 * _TAIL :]])
+        shape = _shape([_line(line, mark) for line in full[-3 * _TAIL :]])
         if shape and shape.width > 1:
             scores[mark] = len(shape.numeric) - 0.5 * (shape.filled - len(shape.numeric))
     if not scores and full:
@@ -203,16 +194,22 @@ def _kind(cell: str) -> str:
     return "value" if comma or is_value(cell) or seconds(cell) is not None else "text"
 
 
-def _named(cells: Sequence[str], delimiter: str, first: int, filled: int = 0) -> Header:
+def _named(
+    cells: Sequence[str],
+    delimiter: str,
+    first: int,
+    shape: _Shape | None = None,
+    below: dict[int, str] | None = None,
+) -> Header:
+    """The header of a line of names; units that do not stand behind the names stand in a line `below`, by place."""
     names = tuple(cells)
-    while len(names) > filled and not names[-1]:
+    while len(names) > (shape.filled if shape else 0) and not names[-1]:
         names = names[:-1]
+    open_end = shape is not None and _with_comment(names, shape.width)
+    names = names[:-1] if open_end else names
     units = {name: unit.name for name in names if (unit := bracketed(name))}
-    return Header(names, delimiter, units, first)
-
-
-def _numbered(count: int) -> tuple[str, ...]:
-    return tuple(str(place + 1) for place in range(count))
+    units |= {names[place]: unit for place, unit in (below or {}).items() if place < len(names)}
+    return Header(names, delimiter, units, first, open_end)
 
 
 def _with_comment(names: Sequence[str], width: int) -> bool:

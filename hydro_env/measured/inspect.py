@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from ..errors import InputError
-from ..units import UNITS
+from ..units import UNITS, from_si
 from ..validation import checked
 from .formats import read_table
 from .gate import LARGEST
@@ -44,51 +44,49 @@ _CHANNELS = ("channel_1", "channel_2")
 _NEEDED = {"command": "V", "speed": "rpm"}
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """`text` is the mapping file; `notes` say why; `log` is what it reads, or None with the reason in `problem`."""
-
-    text: str
-    notes: tuple[str, ...]
-    log: RigLog | None
-    problem: str
-
-
 @dataclass
-class _Draft:
-    """A mapping file in the making: its content, why it is so, and what is to be decided."""
+class Proposal:
+    """A mapping file in the making: its content, why it is so, and what is to be decided; then what it reads, or None with the
+    reason in `problem`."""
 
     content: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
+    why: list[str] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
+    log: RigLog | None = None
+    problem: str = ""
 
-    def proposal(self, log: RigLog | None, problem: str) -> Proposal:
-        notes = (*self.notes, *(f"to be decided: {each}" for each in self.open))
-        lines = ["A guess from names, units and numbers; check it.", *notes]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that is to be said of it, in lines."""
+        return (*self.why, *(f"to be decided: {each}" for each in self.open))
+
+    @property
+    def text(self) -> str:
+        """The mapping file, "" where there is none."""
+        lines = ["A guess from names, units and numbers; check it.", *self.notes]
         text = "".join(f"# {' '.join(line.split())}\n" for line in lines)
-        return Proposal(
-            text + yaml.safe_dump(self.content, sort_keys=False, allow_unicode=True), notes, log, problem
-        )
+        content = yaml.safe_dump(self.content, sort_keys=False, allow_unicode=True)
+        return text + content if self.content else ""
 
 
 def propose(path: str | Path, begun: dict[str, Any] | None = None) -> Proposal:
     """Looks at a log and proposes a mapping that keeps what `begun`, the content of a mapping file, says already. InputError
     if the log cannot be read at all."""
     path, begun = Path(path), begun or {}
-    draft = _Draft({"schema": "hydro_env/mapping/1", "name": re.sub(r"\W+", "_", path.name.split(".")[0])})
-    columns = _columns(path, TableStyle(**begun.get("table", {})), draft.notes)
+    draft = Proposal({"schema": "hydro_env/mapping/1", "name": re.sub(r"\W+", "_", path.name.split(".")[0])})
+    columns = _columns(path, TableStyle(**begun.get("table", {})), draft.why)
     names = tuple(column.name for column in columns)
     if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
-        draft.notes.append("the header is the rig log's own: no mapping is needed")
+        draft.why.append("the header is the rig log's own: no mapping is needed")
         try:
-            own = contract_mapping(names, path).model_dump(exclude_defaults=True, exclude_none=True)
+            draft.content |= contract_mapping(names).model_dump(exclude_defaults=True, exclude_none=True)
         except InputError as error:
-            return Proposal("", tuple(draft.notes), None, str(error))
-        draft.content |= own
+            return Proposal({}, draft.why, problem=f"{path}: {error}")
     else:
         _fill(draft, columns)
     draft.content |= begun
-    return _tried(path, draft)
+    _try(path, draft)
+    return draft
 
 
 def _columns(path: Path, style: TableStyle, notes: list[str]) -> list[Column]:
@@ -124,32 +122,32 @@ def _columns(path: Path, style: TableStyle, notes: list[str]) -> list[Column]:
     ]
 
 
-def _fill(draft: _Draft, columns: list[Column]) -> None:
+def _fill(draft: Proposal, columns: list[Column]) -> None:
     """Puts the most likely column of each signal into the draft."""
     nameless = all(column.label.isdecimal() for column in columns)
     found = by_behaviour(columns) if nameless else list(guesses(columns))
     # A speed is better than its position.
     found.sort(key=lambda guess: (guess.signal == "position", -guess.score))
-    for column in columns:
-        if all(column is not guess.column for guess in found):
-            known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
-            why = "constant" if column.is_constant else "no name" if nameless else "not recognised"
-            why = f"{known}, nothing that a mapping has" if known and why == "not recognised" else why
-            draft.notes.append(f"{column.name!r}: {why}, left out")
+    free = [column for column in columns if all(column is not guess.column for guess in found)]
+    for column in free:
+        known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
+        told = f"{known}, nothing that a mapping has" if known else "not recognised"
+        why = "constant" if column.is_constant else "no name" if nameless else told
+        draft.why.append(f"{column.name!r}: {why}, left out")
     channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
     for guess in found:
         if guess.channel > 2:
             told = f"{guess.signal} of channel {guess.channel}, left out; a log has two"
-            draft.notes.append(f"{guess.column.name!r}: {told}")
+            draft.why.append(f"{guess.column.name!r}: {told}")
         else:
             _put(draft, channels.get(guess.channel, draft.content), guess)
     if "time" not in draft.content:
         draft.content["time"] = {"sample_rate": 1000}
         draft.open.append("time.sample_rate: no clock was found; put the rows per second")
-    _finish(draft, channels, columns, found)
+    _finish(draft, channels, [repr(column.name) for column in free])
 
 
-def _put(draft: _Draft, target: dict[str, Any], guess: Guess) -> None:
+def _put(draft: Proposal, target: dict[str, Any], guess: Guess) -> None:
     """Puts a guess into its channel or the rig, unless a better one is there."""
     name, signal = guess.column.name, "speed" if guess.signal == "position" else guess.signal
     where = f"channel {guess.channel}" if guess.channel else "the rig"
@@ -158,46 +156,39 @@ def _put(draft: _Draft, target: dict[str, Any], guess: Guess) -> None:
     first = target.setdefault(signal, source)
     if first is source:
         what = "position, whose slope is the speed," if guess.signal == "position" else signal
-        draft.notes.append(f"{name!r}: {what} of {where} in {source['unit']} ({why})")
-        draft.open += [
-            f"{place}: {each}" for each in (doubt, guess.doubt and f"{name!r}? {guess.doubt}") if each
-        ]
-    elif (
-        signal == "pressure" and "minus" not in first and (_port(first["column"]), _port(name)) == ("a", "b")
-    ):
+        draft.why.append(f"{name!r}: {what} of {where} in {source['unit']} ({why})")
+        doubts = (doubt, guess.doubt and f"{name!r}? {guess.doubt}")
+        draft.open += [f"{place}: {each}" for each in doubts if each]
+        return
+    ports = _port(first["column"]), _port(name)
+    if signal == "pressure" and "minus" not in first and ports == ("a", "b"):
         first["minus"] = source
-        draft.notes.append(
-            f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
-        )
+        told = f"the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
     else:
-        draft.notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
+        told = f"looks like another {signal} of {where}, left out"
+    draft.why.append(f"{name!r}: {told}")
 
 
-def _finish(
-    draft: _Draft, channels: dict[int, dict[str, Any]], columns: list[Column], found: list[Guess]
-) -> None:
+def _finish(draft: Proposal, channels: dict[int, dict[str, Any]], free: list[str]) -> None:
     """Puts the channels into the draft: those with a command and a speed, or, where there is none, what there is with marks for
-    what is lacking."""
+    what is lacking. `free` are columns that are not used."""
     whole = [number for number, channel in channels.items() if channel.keys() >= _NEEDED.keys()]
     begun = [number for number, channel in channels.items() if channel.keys() & _NEEDED.keys()] or [1]
-    free = [repr(column.name) for column in columns if all(column is not guess.column for guess in found)]
+    others = f"; not used: {', '.join(free[:20])}" if free else ""
     for number, channel in channels.items():
         lacking = [signal for signal in _NEEDED if signal not in channel]
         if number not in (whole or begun):
             if channel:
-                draft.notes.append(f"channel {number}: no {' and '.join(lacking)} found, left out")
+                draft.why.append(f"channel {number}: no {' and '.join(lacking)} found, left out")
             continue
         for signal in lacking:
             channel[signal] = {"column": "?", "unit": _NEEDED[signal]}
-            others = f"; not used: {', '.join(free[:20])}" if free else ""
-            draft.open.append(
-                f"channel_{number}.{signal}: no column looks like it; put its name and its unit in place of ?{others}"
-            )
+            told = "no column looks like it; put its name and its unit in place of ?"
+            draft.open.append(f"channel_{number}.{signal}: {told}{others}")
         if UNITS[channel["speed"]["unit"]].quantity in ("linear speed", "length"):
             channel["actuator"] = "cylinder"
-            draft.notes.append(
-                f"channel {number}: it moves along a line, so taken for a cylinder; add its displacement (piston area)"
-            )
+            told = "it moves along a line, so taken for a cylinder; add its displacement (piston area)"
+            draft.why.append(f"channel {number}: {told}")
         elif "minus" in channel.get("pressure", {}):
             # The sides of a motor are alike, so the load pressure follows from both lines.
             channel["pressure_b"] = channel["pressure"].pop("minus")
@@ -261,61 +252,61 @@ def _port(name: str) -> str:
     return next((word[-1] for word in words(name) if word in ("a", "b", "pa", "pb")), "")
 
 
-def _tried(path: Path, draft: _Draft) -> Proposal:
-    """The proposal with what it reads. What the gate finds surely wrong is corrected once; columns that cannot be read as what
-    they are taken for are left out."""
+def _try(path: Path, draft: Proposal) -> None:
+    """Reads the log by the draft. What the gate finds surely wrong is corrected once; columns that cannot be read as what they
+    are taken for are left out."""
     content, corrected = draft.content, False
-    needed = [channel.get(signal, {}) for channel in _channels(content) for signal in _NEEDED]
-    if any(source.get("column") == "?" for source in needed):
-        return draft.proposal(None, "no channel with a command and a speed was found; name them by hand")
+    channels = [content[key] for key in _CHANNELS if key in content]
+    if any(channel.get(signal, {}).get("column") == "?" for channel in channels for signal in _NEEDED):
+        draft.problem = "no channel with a command and a speed was found; name them by hand"
+        return
     while True:
         try:
             log = read_log(path, checked(Mapping, content, path))
         except InputError as error:
-            line = str(error).removeprefix(f"{path}: ")
-            if not _left_out(draft, line):
-                return draft.proposal(None, line)
-            continue
+            problem = str(error).removeprefix(f"{path}: ")
+            if _left_out(draft, problem):
+                continue
+            draft.problem = problem
+            return
         fixes = [finding for finding in log.findings if finding.sure and finding.fix]
         if corrected or not fixes:
-            return draft.proposal(log, "")
+            draft.log = log
+            return
         corrected = True
         for finding in fixes:
             _merge(content, finding.fix or {})
-            draft.notes.append(f"corrected in the proposal: {finding.text}")
+            draft.why.append(f"corrected in the proposal: {finding.text}")
 
 
-def _left_out(draft: _Draft, problem: str) -> bool:
+def _left_out(draft: Proposal, problem: str) -> bool:
     """Whether a column could be left out that the problem names, and that is not needed."""
     content = draft.content
+    both = [key for key in _CHANNELS if key in content]
     optional = [(content, signal) for signal in RIG_SIGNALS]
-    others = [signal for signal in CHANNEL_SIGNALS if signal not in _NEEDED]
-    optional += [(channel, signal) for channel in _channels(content) for signal in others]
+    optional += [
+        (content[key], signal) for key in both for signal in CHANNEL_SIGNALS if signal not in _NEEDED
+    ]
 
     def spoils(source: dict[str, Any]) -> bool:
-        parts = (source, source.get("minus", {}))
-        return any(repr(part["column"]) in problem for part in parts if "column" in part)
+        columns = source.get("column"), source.get("minus", {}).get("column")
+        return any(repr(column) in problem for column in columns if column is not None)
 
     for target, signal in optional:
         if signal in target and (spoils(target[signal]) or f"{signal} of a " in problem):
-            draft.notes.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
+            draft.why.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
             return True
     if spoils(content["time"]):
-        draft.notes.append(f"{content['time']['column']!r}: left out; {problem}")
+        draft.why.append(f"{content['time']['column']!r}: left out; {problem}")
         draft.open.append("time.sample_rate: the clock cannot be used; put the rows per second")
         content["time"] = {"sample_rate": 1000}
         return True
-    both = [key for key in _CHANNELS if key in content]
     bad = [key for key in both if any(spoils(content[key][signal]) for signal in _NEEDED)]
     if len(both) < 2 or len(bad) != 1:
         return False
     del content[bad[0]]
-    draft.notes.append(f"channel {bad[0][-1]}: left out; {problem}")
+    draft.why.append(f"channel {bad[0][-1]}: left out; {problem}")
     return True
-
-
-def _channels(content: dict[str, Any]) -> list[dict[str, Any]]:
-    return [content[key] for key in _CHANNELS if key in content]
 
 
 def _merge(content: dict[str, Any], fix: dict[str, Any]) -> None:
@@ -330,33 +321,28 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
     """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where a whole one was given)."""
     begun = load_begun(mapping) if mapping is not None else {}
     if isinstance(begun, Mapping):
-        proposal = Proposal("", (f"read with {mapping}",), read_log(path, begun), "")
+        proposal = Proposal({}, [f"read with {mapping}"], log=read_log(path, begun))
     else:
         proposal = propose(path, begun)
     lines = [str(path), *(f"  {note}" for note in proposal.notes)]
     log = proposal.log
     if log is None:
         return "\n".join([*lines, f"not readable yet: {proposal.problem}"]), proposal.text
-    lines.append(
-        f"{len(log)} rows, {log.time_s[0]:.6g} to {log.time_s[-1]:.6g} s at {1.0 / log.period:.6g} Hz"
-        + ("" if log.uniform else ", unevenly spaced: it would be put on an even grid")
-    )
+    uneven = "" if log.uniform else ", unevenly spaced: it would be put on an even grid"
+    span = f"{log.time_s[0]:.6g} to {log.time_s[-1]:.6g} s at {1.0 / log.period:.6g} Hz"
+    lines.append(f"{len(log)} rows, {span}{uneven}")
     numbers = [0, 1, len(log) // 2]
     rows = "".join(f"{f'at {log.time_s[n]:.3g} s':>13}" for n in numbers)
     lines.append(f"  {'signal':<14}{'unit':<7}{'least':>11}{'median':>11}{'most':>11}{rows}")
     for signal in log.signals:
-        values = log.get(signal)
-        assert values is not None
-        for c in log.channels if values.ndim == 2 else (None,):
-            if c is not None and not log.has(signal, c):
+        for c in (None,) if signal in RIG_SIGNALS else log.channels:
+            values = log.of(signal, c)
+            if values is None or not log.has(signal, c):
                 continue
             name = USUAL_UNITS[quantity_of(signal, log.kinds[log.channels[0] if c is None else c])]
-            one = values if c is None else values[:, c]
-            offset, scale = UNITS[name].offset, UNITS[name].scale
-            quantiles = [(np.nanquantile(one, q) - offset) / scale for q in (0.0, 0.5, 1.0)]
-            examples = "".join(f"{(one[n] - offset) / scale:13.4g}" for n in numbers)
-            text = "".join(f"{v:11.4g}" for v in quantiles) + examples
-            lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{text}")
+            quantiles = "".join(f"{from_si(np.nanquantile(values, q), name):11.4g}" for q in (0.0, 0.5, 1.0))
+            examples = "".join(f"{from_si(values[n], name):13.4g}" for n in numbers)
+            lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{quantiles}{examples}")
     lines += [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
     if not log.findings:
         lines.append("  nothing suspicious found")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS
-from hydro_env.measured.table import check_size
+from hydro_env.measured.table import check_size, naming
 
 __all__ = ["HELD", "RigLog", "field_of"]
 
@@ -21,7 +20,7 @@ HELD = ("command", "load", "setpoint")
 
 def field_of(signal: str) -> str:
     """The attribute of `RigLog` that holds a signal."""
-    return {"command": "command_V"}.get(signal, signal)
+    return {"command": "command_V", "time": "time_s"}.get(signal, signal)
 
 
 @dataclass(frozen=True)
@@ -77,6 +76,11 @@ class RigLog:
         if values is None or channel is None or values.ndim == 1:
             return values is not None
         return not bool(np.isnan(values[:, channel]).all())
+
+    def of(self, signal: str, channel: int | None) -> np.ndarray | None:
+        """The samples (T,) of `signal` of channel 0 or 1, or of the rig (None), or None; a view, not a copy."""
+        values = self.get(signal)
+        return values if values is None or channel is None else values[:, channel]
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -153,7 +157,8 @@ class RigLog:
         """Where the rows are on an even grid, in steps (T,), and the first time and number of points of that grid."""
         period = self.period
         span = self.time_s[-1] - self.time_s[0]
-        check_size(Path(self.name), int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
+        with naming(self.name):
+            check_size(int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
         number = (self.time_s - self.time_s[0]) / period
         # Rows lie about the grid, not behind it: its phase is the mean of theirs on the circle.
         phase = _phase(number)
@@ -162,10 +167,8 @@ class RigLog:
         return number, float(self.time_s[0]) + period * phase, int(np.floor(number[-1] + 0.5)) + 1
 
     def _with_rows(self, put: Any) -> RigLog:
-        changed: dict[str, Any] = {"time_s": put(self.time_s, "time")}
-        if self.late is not None:
-            changed["late"] = put(self.late, "late")
-        for signal in (*CHANNEL_SIGNALS, *RIG_SIGNALS):
+        changed: dict[str, Any] = {}
+        for signal in ("time", "late", *CHANNEL_SIGNALS, *RIG_SIGNALS):
             values = self.get(signal)
             if values is not None:
                 changed[field_of(signal)] = put(values, signal)

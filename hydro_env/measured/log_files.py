@@ -3,35 +3,33 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
+import io
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, nearest
 from ..files import replacing
-from ..units import from_si, unit
-from . import gate
+from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
 from .formats import read_table
+from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, check_units, long_gap
 from .log import HELD, RigLog, field_of
-from .mapping import (
-    CONTRACT,
-    CONTRACT_RIG,
-    Mapping,
-    Part,
-    Source,
-    contract_columns,
-    contract_mapping,
-    load_mapping,
-)
-from .positions import slope
+from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
 from .samples import MEASURED
-from .table import Table, digest
+from .table import Table, naming
 
 __all__ = ["read_log", "write_log"]
+
+#: The slope of a position is taken over at most so long, s: what the dynamics of such rigs leave.
+_SLOPE_S = 0.04
+#: Noise of a speed, as a share of its range, that is worth no longer a slope.
+_SLOPE_NOISE = 0.003
+
+Signals = dict[str, np.ndarray]
 
 
 def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> RigLog:
@@ -40,22 +38,24 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
     `InputError` (one line: file, row, column, what would be right) where the log cannot be used.
     """
     path = Path(path)
-    if mapping is not None and not isinstance(mapping, Mapping):
-        mapping = load_mapping(mapping)
+    given = mapping if mapping is None or isinstance(mapping, Mapping) else load_mapping(mapping)
     chosen: list[Mapping] = []
 
     def choose(names: tuple[str, ...]) -> tuple[str, ...]:
-        chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
+        chosen[:] = [given or contract_mapping(names)]  # a second reading may see another header
         return chosen[0].columns()
 
-    table = read_table(path, choose, mapping.table if mapping else None)
-    if mapping is None:
+    table = read_table(path, choose, given.table if given else None)
+    if given is None:
         table.findings.extend(_unknown_columns(table))
-    return _from_table(table, chosen[0])
+    with naming(path):
+        log = _log_of(table, chosen[0])
+    with open(path, "rb") as file:
+        return replace(log, name=path.name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
 
 
 def _unknown_columns(table: Table) -> Iterator[Finding]:
-    known = set(contract_columns())
+    known = contract_columns()
     for name in table.names:
         if name and name not in known:
             near = nearest(name, known)
@@ -63,96 +63,127 @@ def _unknown_columns(table: Table) -> Iterator[Finding]:
             yield Finding("unknown_column", f"column {name!r} is unknown and ignored{hint}", column=name)
 
 
-def _from_table(table: Table, mapping: Mapping) -> RigLog:
-    findings = list(table.findings)
+def _log_of(table: Table, mapping: Mapping) -> RigLog:
+    """The log in SI, with what is not measured or not known left out, and all that was noticed on the way."""
+    findings = table.findings
     count = len(table.lines)
     if count < 2:
-        raise InputError(f"{table.path}: only {count} row; a log needs at least two samples")
+        raise InputError(f"only {count} row; a log needs at least two samples")
     if mapping.time.column is None:
         assert mapping.time.sample_rate is not None
-        time_s, keep = np.arange(count) / mapping.time.sample_rate, None
+        keep: np.ndarray | slice = slice(None)
+        time_s = np.arange(count) / mapping.time.sample_rate
     else:
-        time_s, keep = gate.check_clock(table, mapping.time.column, mapping.time.unit, findings)
-    signals = _signals(table, mapping, keep, findings)
-    for channel, source in enumerate(each.speed if each else None for each in mapping.channels):
-        if source and unit(source.unit).quantity in ("angle", "length"):
-            speed = signals["speed"]
-            assert speed is not None
-            speed[:, channel], finding = slope(speed[:, channel], time_s, source, channel + 1)
-            findings.append(finding)
+        time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit)
+    rows = table.lines[keep]
+    signals = _signals(table, mapping, keep, time_s)
     table.columns.clear()  # an hour of them is half the memory
-    rows = table.lines if keep is None else table.lines[keep]
     start, end, unknown = _hold(mapping, signals, time_s, rows, findings)
+    if end - start < 2:
+        raise InputError("no two rows hold a command; a log needs at least two samples")
+    part = slice(start, end)
+    one, two = mapping.channels
     log = RigLog(
-        time_s=time_s[start:end],
-        name=table.path.name,
-        sha256=digest(table.path),
-        kinds=tuple(channel.actuator if channel else "motor" for channel in mapping.channels),  # type: ignore[arg-type]
-        displacement=tuple(  # type: ignore[arg-type]
-            channel.displacement.si if channel and channel.displacement else None
-            for channel in mapping.channels
-        ),
+        time_s=time_s[part],
+        kinds=(one.actuator if one else "motor", two.actuator if two else "motor"),
+        displacement=(one.size if one else None, two.size if two else None),
         read_as={
-            f"{signal}_{channel + 1}": (source.column, source.unit)
-            for signal, channel, source in mapping.sources()
-            if channel is not None
+            f"{each.signal}_{each.number}": (each.column, each.source.unit)
+            for each in mapping.sources()
+            if each.number
         },
-        **{name: None if values is None else values[start:end] for name, values in signals.items()},  # type: ignore[arg-type]
+        **{name: values[part] for name, values in signals.items()},  # type: ignore[arg-type]
     )
-    if len(log) < 2:
-        raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
-    findings += gate.check_units(table, mapping)
-    found, invalid = gate.check_log(log, mapping, rows[start:end])
-    log = replace(_without(log, invalid, unknown[start:end]), findings=(*findings, *found))
-    return _with_load_pressure(log)
+    findings += check_units(table, mapping)
+    findings += check_log(log, mapping, rows[part])
+    late = after_gaps(log.time_s)
+    late &= late.mean() < 0.5  # or most of the log would be left out
+    late |= unknown[part]
+    return _with_load_pressure(replace(_without(log, late), findings=tuple(findings)))
 
 
-def _signals(
-    table: Table, mapping: Mapping, keep: np.ndarray | None, findings: list[Finding]
-) -> dict[str, np.ndarray | None]:
+def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: np.ndarray) -> Signals:
     """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
-    signals: dict[str, np.ndarray | None] = {}
-    for signal, channel, source in mapping.sources():
-        values, name = _values(table, source, keep, findings), field_of(signal)
-        if channel is None:
-            signals[name] = values
-        elif values is not None:
-            both = signals.get(name)
-            if both is None:
-                both = signals[name] = np.full((len(values), 2), np.nan)
-            both[:, channel] = values
-        elif signal in ("command", "speed"):
-            told = f"column {source.column!r} is empty; {signal} is required of every channel"
-            raise InputError(f"{table.path}: {told}")
+    signals: Signals = {}
+    slopes = []
+    for each in mapping.sources():
+        if np.isnan(table.columns[each.column]).all():
+            if each.signal in ("command", "speed"):
+                raise InputError(
+                    f"column {each.column!r} is empty; {each.signal} is required of every channel"
+                )
+            told = f"column {each.column!r} holds no value"
+            table.findings.append(Finding("empty_column", told, "taken as absent", column=each.column))
+            continue
+        values = _si(table, each)[keep]
+        if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
+            values, finding = _slope(values, time_s, each)
+            slopes.append(finding)
+        if each.channel is None:
+            signals[each.signal] = values
+        else:
+            both = signals.setdefault(field_of(each.signal), np.full((len(values), 2), np.nan))
+            both[:, each.channel] = values
+    table.findings += slopes
     return signals
 
 
-def _values(
-    table: Table, source: Source, keep: np.ndarray | None, findings: list[Finding]
-) -> np.ndarray | None:
-    """One signal in SI (T,), or None where its column is empty."""
-    cells = table.columns[source.column]
-    if np.isnan(cells).all():
-        message = f"column {source.column!r} holds no value"
-        findings.append(Finding("empty_column", message, "taken as absent", column=source.column))
-        return None
-    result = _si(table, source)
-    if source.minus is not None:
-        result = result - _si(table, source.minus)
-    return np.asarray(result if keep is None else result[keep])
+def _si(table: Table, mapped: Mapped) -> np.ndarray:
+    """A signal in SI (T,)."""
+    values = []
+    for part in mapped.source.parts:
+        with np.errstate(all="ignore"):
+            values.append(np.asarray(part.si(table.columns[part.column])))
+        check_numbers(table, part.column, values[-1])
+    return values[0] if len(values) == 1 else np.asarray(values[0] - values[1])
 
 
-def _si(table: Table, part: Part) -> np.ndarray:
-    with np.errstate(all="ignore"):
-        values = np.asarray(part.si(table.columns[part.column]))
-    gate.check_numbers(table, part.column, values)
-    return values
+def _slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.ndarray, Finding]:
+    """The speed (T,) of a position (T,) in SI at times (T,): the difference over as few rows as its noise allows, centred.
+
+    An angle that stays within one revolution is unwound first. Noise is that of differences of the second order, of which
+    six times its variance is left (quantisation included).
+    """
+    if unit(mapped.source.unit).quantity == "angle":
+        position = _unwound(position)
+    second = np.diff(position, 2)
+    second = second[np.isfinite(second)]
+    noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
+    rows, period = 1, float(np.median(np.diff(time)))
+    most = _SLOPE_S / 2.0 / period
+    while True:
+        speed = _over(position, time, rows)
+        low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)
+        if 2 * rows > most or noise * 2**0.5 <= _SLOPE_NOISE * (high - low) * 2 * rows * period:
+            break
+        rows *= 2
+    message = f"the speed of channel {mapped.number} is the slope of {mapped.column!r} over {2 * rows} rows"
+    return speed, mapped.finding("from_position", message)
+
+
+def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:
+    """The slope between `rows` before and after each row, over fewer at the ends."""
+    here = np.arange(len(time))
+    before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
+    return np.asarray((position[after] - position[before]) / (time[after] - time[before]))
+
+
+def _unwound(angle: np.ndarray) -> np.ndarray:
+    """The angle (T,) without its jumps by a revolution, if it is kept within one."""
+    known = np.isfinite(angle)
+    values = angle[known]
+    if len(values) < 2 or np.ptp(values) > 1.001 * REVOLUTION:
+        return angle
+    if np.abs(np.diff(values)).max() < 0.5 * REVOLUTION:
+        return angle
+    angle = angle.copy()
+    angle[known] = np.unwrap(values)
+    return angle
 
 
 def _hold(
-    mapping: Mapping, signals: dict[str, np.ndarray | None], time_s: np.ndarray, rows: np.ndarray,
-    findings: list[Finding],
-) -> tuple[int, int, np.ndarray]:  # fmt: skip
+    mapping: Mapping, signals: Signals, time_s: np.ndarray, rows: np.ndarray, findings: list[Finding]
+) -> tuple[int, int, np.ndarray]:
     """Fills holes of commands, loads and set-points (in place) with the last value. A load before its first value is zero, and a
     set-point its first value.
 
@@ -160,19 +191,19 @@ def _hold(
     command, or soon behind them: what the valve was told there is not known.
     """
     begin, end, unknown = 0, len(rows), np.zeros(len(rows), bool)
-    for signal, channel, source in mapping.sources():
-        values = signals.get(field_of(signal))
-        if signal not in HELD or values is None:
+    for each in mapping.sources():
+        values = signals.get(field_of(each.signal))
+        if each.signal not in HELD or values is None:
             continue
-        one = values if channel is None else values[:, channel]
+        one = values if each.channel is None else values[:, each.channel]
         known = np.isfinite(one)
         if known.all() or not known.any():
             continue
         last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
         first = int(np.argmax(known))
-        one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
+        one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if each.signal == "load" else one[first])
         hint = "the value before is held"
-        if signal == "command":
+        if each.signal == "command":
             final, long = _unknown(time_s, known)
             unknown |= long
             if long[first:final].any():
@@ -183,10 +214,9 @@ def _hold(
             if final < len(one):
                 end = min(end, final)
                 hint += f", and the log ends with row {rows[final - 1]}: no command follows"
-        hole = int(np.argmax(~known))
-        message = f"{source.column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
-        number, row = None if channel is None else channel + 1, int(rows[hole])
-        findings.append(Finding("missing_values", message, hint, signal, number, source.column, row))
+        row = int(rows[np.argmin(known)])
+        missing = f"holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {row}"
+        findings.append(each.finding("missing_values", f"{each.column!r} {missing}", hint, row))
     return begin, end, unknown
 
 
@@ -199,33 +229,25 @@ def _unknown(time_s: np.ndarray, known: np.ndarray) -> tuple[int, np.ndarray]:
     steps = np.diff(time_s[at])
     usual = float(np.median(steps)) if len(steps) else 0.0
     found = np.zeros(len(known), bool)
-    for n in np.flatnonzero(steps > gate.long_gap(usual)):
+    for n in np.flatnonzero(steps > long_gap(usual)):
         # Also what follows: the state is a guess for so long.
-        found[at[n] + 1 : np.searchsorted(time_s, time_s[at[n + 1]] + gate.SETTLE_S)] = True
+        found[at[n] + 1 : np.searchsorted(time_s, time_s[at[n + 1]] + SETTLE_S)] = True
     end = int(at[-1]) + 1
-    if time_s[-1] - time_s[at[-1]] <= gate.long_gap(usual):
+    if time_s[-1] - time_s[at[-1]] <= long_gap(usual):
         end = len(known)
     return end, found
 
 
-def _without(log: RigLog, invalid: gate.InvalidSamples, unknown: np.ndarray) -> RigLog:
-    """The log with NaN in place of invalid samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
-    unless that were most of the log."""
-    late = gate.after_gaps(log.time_s)
-    late &= late.mean() < 0.5
-    late |= unknown
-    changed: dict[str, np.ndarray | None] = {}
+def _without(log: RigLog, late: np.ndarray) -> RigLog:
+    """The log without what was measured in some rows (T,), and without signals of which nothing is left."""
+    gone: dict[str, None] = {}
     for signal in MEASURED:
         values = log.get(signal)
-        if values is None or not (late.any() or any(name == signal for name, _ in invalid)):
-            continue
-        values = values.copy()
-        values[late] = np.nan
-        for channel in (0, 1):
-            if (signal, channel) in invalid:
-                values[invalid[signal, channel], channel] = np.nan
-        changed[field_of(signal)] = None if signal != "speed" and np.isnan(values).all() else values
-    return replace(log, **changed) if changed else log  # type: ignore[arg-type]
+        if values is not None:
+            values[late] = np.nan
+            if signal != "speed" and np.isnan(values).all():
+                gone[signal] = None
+    return replace(log, **gone) if gone else log  # type: ignore[arg-type]
 
 
 def _with_load_pressure(log: RigLog) -> RigLog:
@@ -247,30 +269,15 @@ def write_log(path: str | Path, log: RigLog) -> None:
     path = Path(path)
     if "cylinder" in [log.kinds[channel] for channel in log.channels]:
         raise ValueError("the rig log's header knows rpm and N m only: it cannot hold a cylinder log")
-    columns: dict[str, np.ndarray] = {"time_s": log.time_s}
-    for signal, (column, symbol) in CONTRACT_RIG.items():
-        values = log.get(signal)
-        if values is not None:
-            columns[column] = from_si(values, symbol)
-    for signal, (ending, symbol) in CONTRACT.items():
-        values = log.get(signal)
-        for channel in log.channels:
-            if values is not None and log.has(signal, channel):
-                columns[f"{signal}_{channel + 1}_{ending}"] = from_si(values[:, channel], symbol)
-    header = [name for name in contract_columns() if name in columns]
-    rows = np.column_stack([columns[name] for name in header])
-    with replacing(path) as raw:
-        if path.suffix == ".gz":
-            # No name and no time in the header: the same log gives the same bytes.
-            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=6, mtime=0) as packed:
-                _write_rows(packed, header, rows)
-        else:
-            _write_rows(raw, header, rows)
-
-
-def _write_rows(file: Any, header: list[str], rows: np.ndarray) -> None:
-    file.write((",".join(header) + "\n").encode())
-    line = ",".join(["%.12g"] * len(header)) + "\n"
-    for start in range(0, len(rows), 10_000):
-        text = "".join(line % tuple(row) for row in rows[start : start + 10_000].tolist())
-        file.write(text.replace("nan", "").encode())
+    columns = {
+        column: from_si(log.of(signal, channel), symbol)
+        for column, (signal, channel, symbol) in contract_columns().items()
+        if channel in (None, *log.channels) and log.has(signal, channel)
+    }
+    text = io.StringIO()
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(text, rows, "%.12g", ",", header=",".join(columns), comments="")
+    content = text.getvalue().replace("nan", "").encode()
+    with replacing(path) as file:
+        # No time in the header of the gzip file: the same log gives the same bytes.
+        file.write(gzip.compress(content, 6, mtime=0) if path.suffix == ".gz" else content)

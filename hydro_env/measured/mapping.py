@@ -26,20 +26,21 @@ model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
 from hydro_env.errors import InputError, nearest
+from hydro_env.measured.finding import Finding
 from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
 from hydro_env.validation import FileTable, Number, checked
 
 __all__ = [
-    "CHANNEL_SIGNALS", "LINES", "RIG_SIGNALS", "USUAL_UNITS", "ChannelMapping", "Mapping", "Source", "TableStyle",
+    "CHANNEL_SIGNALS", "LINES", "RIG_SIGNALS", "USUAL_UNITS", "ChannelMapping", "Mapped", "Mapping", "Source", "TableStyle",
     "contract_columns", "contract_mapping", "load_begun", "load_mapping", "quantity_of",
 ]  # fmt: skip
 
@@ -57,6 +58,7 @@ CONTRACT_RIG = {
     "setpoint": ("setpoint_rpm", "rpm"), "supply": ("supply_bar", "bar"), "temperature": ("temperature_C", "degC"),
 }  # fmt: skip
 CHANNEL_SIGNALS, RIG_SIGNALS = tuple(CONTRACT), tuple(CONTRACT_RIG)
+_CHANNELS = ("channel_1", "channel_2")
 #: What is measured on a cylinder where a motor has the former.
 _LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
 #: A speed may be given as the position whose slope it is.
@@ -106,9 +108,37 @@ class Source(Part):
 
     minus: Part | None = None
 
-    def columns(self) -> tuple[str, ...]:
-        """The file's columns that are needed."""
-        return (self.column,) if self.minus is None else (self.column, self.minus.column)
+    @property
+    def parts(self) -> list[Part]:
+        """The columns that are needed."""
+        return [self] if self.minus is None else [self, self.minus]
+
+
+class Mapped(NamedTuple):
+    """A signal of channel 0 or 1, or of the rig (None), and where it comes from."""
+
+    signal: str
+    channel: int | None
+    source: Source
+
+    @property
+    def column(self) -> str:
+        return self.source.column
+
+    @property
+    def number(self) -> int | None:
+        """The channel as users count, from 1."""
+        return None if self.channel is None else self.channel + 1
+
+    def finding(
+        self, code: str, message: str, hint: str = "", row: int | None = None, sure: bool = False,
+        right: dict[str, Any] | None = None,
+    ) -> Finding:  # fmt: skip
+        """A finding about the signal; `right` is what a mapping would have to say of it."""
+        where = self.signal, self.number, self.column
+        fix: dict[str, Any] = {self.signal: right}
+        fix = fix if self.number is None else {f"channel_{self.number}": fix}
+        return Finding(code, message, hint, *where, row, sure, fix if right else None)
 
 
 class Quantity(FileTable):
@@ -164,40 +194,38 @@ class ChannelMapping(FileTable):
     pressure_a: Source | None = None
     pressure_b: Source | None = None
 
+    @property
+    def size(self) -> float | None:
+        """The displacement, m3/rad, or the area, m2, where it is known."""
+        return self.displacement.si if self.displacement else None
+
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
         for signal in CHANNEL_SIGNALS:
-            if (source := getattr(self, signal)) is not None:
-                _check_unit(signal, source, self.actuator)
+            source = getattr(self, signal)
+            for part in source.parts if source else ():
+                _check_unit(signal, part.unit, self.actuator)
         if self.displacement is not None:
-            wanted = quantity_of("displacement", self.actuator)
-            quantity = unit(self.displacement.unit).quantity
-            if quantity != wanted:
-                told = f"{self.displacement.unit} is a unit of {quantity}; use {USUAL_UNITS[wanted]}"
-                raise ValueError(f"displacement of a {self.actuator}: {told}")
+            _check_unit("displacement", self.displacement.unit, self.actuator)
         return self
 
 
-def _check_unit(signal: str, source: Source, actuator: str) -> None:
-    """ValueError for a unit of something else than the signal."""
+def _check_unit(what: str, given: str, actuator: str) -> None:
+    """ValueError for a unit of something else than the signal, or the displacement, is measured in."""
 
     def fitting(actuator: str) -> tuple[str, ...]:
-        quantity = quantity_of(signal, actuator)
-        return (quantity, _POSITIONS[quantity]) if signal == "speed" else (quantity,)
+        quantity = quantity_of(what, actuator)
+        return (quantity, _POSITIONS[quantity]) if what == "speed" else (quantity,)
 
     other = "cylinder" if actuator == "motor" else "motor"
-    for part in (source, source.minus):
-        if part is None:
-            continue
-        quantity = unit(part.unit).quantity
-        if quantity == "fraction" and signal in ("command", "current", "spool"):
-            continue
-        if quantity not in fitting(actuator):
-            hint = f", or say `actuator: {other}`" if quantity in fitting(other) else ""
-            told = (
-                f"{part.unit} is a unit of {quantity}; use {USUAL_UNITS[quantity_of(signal, actuator)]}{hint}"
-            )
-            raise ValueError(f"{signal} of a {actuator}: {told}")
+    quantity = unit(given).quantity
+    shared = quantity == "fraction" and what in ("command", "current", "spool")
+    if not shared and quantity not in fitting(actuator):
+        told = f"{given} is a unit of {quantity}; use {USUAL_UNITS[fitting(actuator)[0]]}"
+        hint = (
+            f", or say `actuator: {other}`" if quantity in fitting(other) and what != "displacement" else ""
+        )
+        raise ValueError(f"{what} of a {actuator}: {told}{hint}")
 
 
 class Mapping(FileTable):
@@ -220,9 +248,10 @@ class Mapping(FileTable):
         present = [channel for channel in self.channels if channel is not None]
         if not present:
             raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")
-        for signal, channel, source in self.sources():
-            if channel is None:
-                _check_unit(signal, source, present[0].actuator)
+        for signal in RIG_SIGNALS:
+            source = getattr(self, signal)
+            for part in source.parts if source else ():
+                _check_unit(signal, part.unit, present[0].actuator)
         return self
 
     @property
@@ -230,19 +259,24 @@ class Mapping(FileTable):
         """Channel 1 and channel 2, None where absent."""
         return self.channel_1, self.channel_2
 
-    def sources(self) -> Iterator[tuple[str, int | None, Source]]:
-        """Signal, channel (0, 1; None of the rig) and source of all that is mapped."""
+    def sources(self) -> Iterator[Mapped]:
+        """All that is mapped: of the rig, then of each channel."""
         for channel in (None, 0, 1):
-            owner = self if channel is None else self.channels[channel]
             for signal in RIG_SIGNALS if channel is None else CHANNEL_SIGNALS:
-                source = getattr(owner, signal, None)
-                if source is not None:
-                    yield signal, channel, source
+                if found := self.mapped(signal, channel):
+                    yield found
+
+    def mapped(self, signal: str, channel: int | None) -> Mapped | None:
+        """A signal of channel 0 or 1, or of the rig (None), if it is mapped."""
+        source = getattr(self if channel is None else self.channels[channel], signal, None)
+        return None if source is None else Mapped(signal, channel, source)
 
     def columns(self) -> tuple[str, ...]:
         """Every column of the file that the mapping uses."""
         names = [self.time.column] if self.time.column else []
-        return tuple(dict.fromkeys(names + [n for _, _, source in self.sources() for n in source.columns()]))
+        return tuple(
+            dict.fromkeys(names + [part.column for each in self.sources() for part in each.source.parts])
+        )
 
 
 def load_mapping(path: str | Path) -> Mapping:
@@ -267,53 +301,42 @@ _BLANK: dict[str, Any] = {
 }
 
 
-_CHANNEL_COLUMN = re.compile(rf"({'|'.join(CHANNEL_SIGNALS)})_([12])_(\w+)")
+def contract_columns() -> dict[str, tuple[str, int | None, str]]:
+    """Every column that a rig log may have, in the order they are written: its signal, the channel and the unit."""
+    rig = {column: (signal, None, symbol) for signal, (column, symbol) in CONTRACT_RIG.items()}
+    found: dict[str, tuple[str, int | None, str]] = {"time_s": ("time", None, "s")}
+    found["setpoint_rpm"] = rig.pop("setpoint_rpm")
+    for group in (("command", "current", "pressure", "speed", "load"), ("spool", "flow"), LINES):
+        for channel, signal in product((0, 1), group):
+            ending, symbol = CONTRACT[signal]
+            found[f"{signal}_{channel + 1}_{ending}"] = signal, channel, symbol
+    return found | rig
 
 
-def contract_columns() -> tuple[str, ...]:
-    """Every column that a rig log may have, in the order they are written."""
-    main = ("command", "current", "pressure", "speed", "load")
-    columns = ["time_s", "setpoint_rpm"]
-    for group in (main, ("spool", "flow"), LINES):
-        columns += [f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in group]
-    return (*columns, "supply_bar", "temperature_C")
-
-
-def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
+def contract_mapping(names: tuple[str, ...]) -> Mapping:
     """The mapping of a log with the rig log's own header `names`; `InputError` where a required column is missing."""
-    channels: dict[str, dict[str, Any]] = {}
-    for name in names:
-        match = _CHANNEL_COLUMN.fullmatch(name)
-        if match and match[3] == CONTRACT[match[1]][0]:
-            source = {"column": name, "unit": CONTRACT[match[1]][1]}
-            channels.setdefault(f"channel_{match[2]}", {})[match[1]] = source
-    if "time_s" not in names:
-        raise _missing(path, "time_s", names)
-    if not channels:
-        raise _missing(path, "command_1_V", names)
-    for channel, signals in channels.items():
-        for signal in ("command", "speed"):
-            if signal not in signals:
-                raise _missing(path, f"{signal}_{channel[-1]}_{CONTRACT[signal][0]}", names)
-    rig = {
-        signal: {"column": column, "unit": symbol}
-        for signal, (column, symbol) in CONTRACT_RIG.items()
-        if column in names
-    }
-    return Mapping.model_validate({"time": {"column": "time_s"}, **rig, **channels})
+    content: dict[str, Any] = {}
+    for column, (signal, channel, symbol) in contract_columns().items():
+        if column in names:
+            owner = content if channel is None else content.setdefault(f"channel_{channel + 1}", {})
+            owner[signal] = {"column": column, "unit": symbol}
+    present = [key[-1] for key in _CHANNELS if key in content] or ["1"]
+    needed = [f"{signal}_{c}_{CONTRACT[signal][0]}" for c in present for signal in ("command", "speed")]
+    for column in ("time_s", *needed):
+        if column not in names:
+            raise _missing(column, names)
+    return Mapping.model_validate(content)
 
 
-def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
-    known = set(contract_columns())
+def _missing(column: str, names: tuple[str, ...]) -> InputError:
+    known = contract_columns()
     if names and all(name.isdecimal() for name in names):
-        raise InputError(
-            f"{path}: holds numbers where the header should be; add the line of column names, or say in a mapping file what the "
-            "columns are, by their numbers"
+        return InputError(
+            "holds numbers where the header should be; add the line of column names, or say in a mapping file what the columns "
+            "are, by their numbers"
         )
     near = nearest(column, (name for name in names if name not in known))
     hint = f"rename {near!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    return InputError(
-        f"{path}: the required column {column!r} is missing (found: {shown}); "
-        f"{hint}describe this log in a mapping file"
-    )
+    told = f"the required column {column!r} is missing (found: {shown})"
+    return InputError(f"{told}; {hint}describe this log in a mapping file")

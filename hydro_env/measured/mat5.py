@@ -42,7 +42,7 @@ def read_mat5(path: Path) -> dict[str, np.ndarray]:
         if kind == _COMPRESSED:
             unpacked = zlib.decompressobj().decompress(content, 8 * MAX_VALUES - size + 9)
             size += len(unpacked)
-            check_size(path, size // 8)
+            check_size(size // 8)
             kind, content = next(_elements(memoryview(unpacked), order))
         if kind == _MATRIX:
             _read_matrix(content, order, "", found)

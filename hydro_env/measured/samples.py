@@ -6,19 +6,16 @@ reads the log leaves them out of every comparison.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import CONTRACT
+from hydro_env.measured.log import RigLog
+from hydro_env.measured.mapping import CONTRACT, Mapped
 from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
-
-if TYPE_CHECKING:
-    from hydro_env.measured.log import RigLog
 
 __all__ = ["MEASURED", "check_samples", "standing_out"]
 
@@ -43,26 +40,16 @@ class _Signal:
     that hold them, what was found and which samples (T,) are invalid."""
 
     log: RigLog
-    name: str
-    channel: int
-    column: str
+    mapped: Mapped
     rows: np.ndarray
-    values: np.ndarray
     findings: list[Finding] = field(default_factory=list)
-    invalid: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
+        self.name, self.channel = self.mapped.signal, self.mapped.channel or 0
+        self.period = self.log.period  # s
+        self.values = np.array(self.log.of(self.name, self.channel))
         self.invalid = np.zeros(len(self.values), bool)
-
-    @property
-    def period(self) -> float:
-        """Between rows, s."""
-        return self.log.period
-
-    @cached_property
-    def command(self) -> np.ndarray:
-        """The command of the channel (T,), V."""
-        return self.log.command_V[:, self.channel]
+        self.command = self.log.command_V[:, self.channel]
 
     @cached_property
     def swing(self) -> float:
@@ -83,11 +70,12 @@ class _Signal:
     def tell(self, code: str, message: str, hint: str, row: int | None = None, sure: bool = False) -> None:
         """Notes a finding about the column, which the message goes on from; `row` counts from 0."""
         line = None if row is None else int(self.rows[row])
-        self.findings.append(
-            Finding(
-                code, f"{self.column!r} {message}", hint, self.name, self.channel + 1, self.column, line, sure
-            )
-        )
+        self.findings.append(self.mapped.finding(code, f"{self.mapped.column!r} {message}", hint, line, sure))
+
+    def leave_out(self, bad: np.ndarray, code: str, message: str, hint: str, row: int) -> None:
+        """Notes that samples (T,) are no measurements; `row` is where it is seen."""
+        self.tell(code, message, f"{hint}: {_LEFT_OUT}", row)
+        self.invalid |= bad
 
     def shown(self, value: float) -> str:
         """A value as text, in the unit of the rig log."""
@@ -95,13 +83,9 @@ class _Signal:
         return with_unit(from_si(value, name), name, 4)
 
 
-def check_samples(
-    log: RigLog, signal: str, channel: int, rows: np.ndarray, column: str
-) -> tuple[list[Finding], np.ndarray]:
-    """Findings about a signal of a channel (0, 1), and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
-    values = log.get(signal)
-    assert values is not None
-    one = _Signal(log, signal, channel, column, rows, values[:, channel].copy())
+def check_samples(log: RigLog, mapped: Mapped, rows: np.ndarray) -> tuple[list[Finding], np.ndarray]:
+    """Findings about a signal of a channel, and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
+    one = _Signal(log, mapped, rows)
     _check(one)
     return one.findings, one.invalid
 
@@ -120,10 +104,9 @@ def _check(one: _Signal) -> None:
         _constant(one, finite)
     elif one.name in MEASURED:
         if one.name != "speed" and one.swing > 0.0 and len(finite) > 500 and _is_white(finite):
-            message = (
-                f"shows nothing but noise about {one.shown(float(finite.mean()))} while the command moves"
-            )
-            one.tell("constant", message, "the sensor does not measure: taken as absent")
+            message = f"shows nothing but noise about {one.shown(float(finite.mean()))}"
+            hint = "the sensor does not measure: taken as absent"
+            one.tell("constant", f"{message} while the command moves", hint)
             one.invalid[:] = True
             return
         _spikes(one)
@@ -179,6 +162,7 @@ def _spikes(one: _Signal) -> None:
     known = np.flatnonzero(np.isfinite(one.values))
     found, reach = standing_out(one.values[known])
     least = _SPIKE * float(np.ptp(np.quantile(one.values[known], (0.01, 0.99))))
+    bad = np.zeros(len(one.values), bool)
     for start, end, height, nearby in found:
         asked = _command_near(one, int(known[start]), 20) >= 0.05
         if one.name == "speed":
@@ -186,15 +170,12 @@ def _spikes(one: _Signal) -> None:
             possible = min(reach, max(least, 3.0 * nearby if asked else nearby))
         else:
             possible = np.inf if asked else max(reach, least)
-        if height > possible:
-            one.invalid[known[start:end]] = True
-    if one.invalid.any():
-        first = int(np.argmax(one.invalid))
-        message = (
-            f"jumps for a row or two and back, {int(one.invalid.sum())} rows in all, first to "
-            f"{one.shown(one.values[first])} in row {one.rows[first]}"
-        )
-        one.tell("spikes", message, f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}", first)
+        bad[known[start:end]] |= height > possible
+    if bad.any():
+        first = int(np.argmax(bad))
+        seen = f"{one.shown(one.values[first])} in row {one.rows[first]}"
+        message = f"jumps for a row or two and back, {int(bad.sum())} rows in all, first to {seen}"
+        one.leave_out(bad, "spikes", message, "no machine moves so; a loose plug or a lost bit", first)
 
 
 def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:
@@ -250,10 +231,10 @@ def _stuck(one: _Signal) -> None:
     long = lengths >= one.least_stuck
     if one.swing == 0.0 or not long.any():
         return
-    repeated = np.repeat(long, lengths)
+    ordinary = ~np.repeat(long, lengths)
     low, high = np.nanmin(values), np.nanmax(values)
-    noisy = _is_noisy(values[~repeated])
-    usual = _by_command(command[~repeated], values[~repeated], one.swing)
+    noisy = _is_noisy(values[ordinary])
+    usual = _by_command(one, ordinary)
 
     def is_stuck(start: int, length: int) -> bool:
         inside = values[start] not in (0.0, low, high)
@@ -262,7 +243,7 @@ def _stuck(one: _Signal) -> None:
         early = command[start : start + length * 2 // 3]
         if np.nanmax(early) - np.nanmin(early) <= 0.1 * one.swing:
             return False
-        elsewhere = usual(command[start : start + length])
+        elsewhere = usual[start : start + length]
         known = np.isfinite(elsewhere)
         if known.mean() > 0.2:
             return bool(np.median(np.abs(elsewhere[known] - values[start])) > 0.1 * (high - low))
@@ -274,14 +255,27 @@ def _stuck(one: _Signal) -> None:
     if stuck.any():
         longest = int(np.argmax(np.where(stuck, lengths, 0)))
         first, length = starts[longest], lengths[longest]
-        message = (
-            f"repeats the value {one.shown(values[first])} for {length * one.period:.3g} s from "
-            f"{one.log.time_s[first]:.6g} s (row {one.rows[first]})"
-        )
+        place = f"{one.log.time_s[first]:.6g} s (row {one.rows[first]})"
+        message = f"repeats the value {one.shown(values[first])} for {length * one.period:.3g} s from {place}"
         if lengths[stuck].sum() > length:
             message += f", and more such stretches: {lengths[stuck].sum() * one.period:.3g} s in all"
-        one.tell("stuck", message, f"a stuck sensor or a frozen recorder: {_LEFT_OUT}", first)
-        one.invalid |= np.repeat(stuck, lengths)
+        one.leave_out(
+            np.repeat(stuck, lengths), "stuck", message, "a stuck sensor or a frozen recorder", first
+        )
+
+
+def _by_command(one: _Signal, ordinary: np.ndarray) -> np.ndarray:
+    """For each row the median of the values of the `ordinary` rows (T,) at the same command, within 2.5 % of its swing; NaN where
+    there are too few."""
+    low = np.nanmin(one.command[ordinary]) if ordinary.any() else 0.0
+    known = np.isfinite(one.command)
+    level = np.where(known, (one.command - low) / (0.05 * one.swing), -1.0).astype(int)
+    medians = np.full(max(int(level.max(initial=0)), 0) + 1, np.nan)
+    for n in np.unique(level[ordinary & (level >= 0)]):
+        here = one.values[ordinary & (level == n) & np.isfinite(one.values)]
+        if len(here) >= 10:
+            medians[n] = np.median(here)
+    return np.where(level >= 0, medians[np.maximum(level, 0)], np.nan)
 
 
 def _silent(one: _Signal) -> None:
@@ -300,12 +294,9 @@ def _silent(one: _Signal) -> None:
         return
     bad = _rows_of(silent, width, len(one.values))
     first = int(np.argmax(bad))
-    message = (
-        f"shows nothing but noise for {bad.sum() * one.period:.3g} s, first from {one.log.time_s[first]:.6g} s "
-        f"(row {one.rows[first]}), while the speed changes to and fro"
-    )
-    one.tell("stuck", message, f"a stuck sensor: {_LEFT_OUT}", first)
-    one.invalid |= bad
+    place = f"first from {one.log.time_s[first]:.6g} s (row {one.rows[first]})"
+    message = f"shows nothing but noise for {bad.sum() * one.period:.3g} s, {place}"
+    one.leave_out(bad, "stuck", f"{message}, while the speed changes to and fro", "a stuck sensor", first)
 
 
 def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
@@ -329,10 +320,9 @@ def _load_at_limit(one: _Signal) -> None:
             continue
         first = starts[long][0]
         unit = "N" if one.log.kinds[one.channel] == "cylinder" else "N m"
-        message = (
-            f"stays at its {name} value, {limit:.4g} {unit}, for {lengths[long].sum() * one.period:.3g} s, "
-            f"first in row {one.rows[first]}, though it is noisy elsewhere: the sensor was at its limit"
-        )
+        place = f"for {lengths[long].sum() * one.period:.3g} s, first in row {one.rows[first]}"
+        message = f"stays at its {name} value, {limit:.4g} {unit}, {place}, though it is noisy elsewhere"
+        message += ": the sensor was at its limit"
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
         one.tell("clipped", message, hint, first)
 
@@ -348,10 +338,8 @@ def _clipped(one: _Signal) -> None:
             continue
         arrival = np.abs(values[entries] - values[entries - 1])
         if np.median(arrival) > 2e-4 * (np.nanmax(values) - np.nanmin(values)):
-            message = (
-                f"stays at its {name} value, {one.shown(limit)}, in {share:.1%} of the rows, first in row "
-                f"{one.rows[entries[0]]}"
-            )
+            place = f"in {share:.1%} of the rows, first in row {one.rows[entries[0]]}"
+            message = f"stays at its {name} value, {one.shown(limit)}, {place}"
             hint = f"a sensor or converter at its limit: {_LEFT_OUT}; widen its range"
             one.tell("clipped", message, hint, entries[0])
             one.invalid |= np.repeat(long, lengths)
@@ -368,28 +356,6 @@ def _is_noisy(values: np.ndarray) -> bool:
     steps = np.diff(values[np.isfinite(values)])
     steps = steps[steps != 0.0]
     return len(steps) > 100 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) > 0.3
-
-
-def _by_command(command: np.ndarray, values: np.ndarray, swing: float) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that gives, for commands, the median of the values at the same command (within 2.5 % of the swing)."""
-    low = np.nanmin(command) if len(command) else 0.0
-
-    def level(wanted: np.ndarray) -> np.ndarray:
-        return np.where(np.isfinite(wanted), (wanted - low) / (0.05 * swing), -1.0).astype(int)
-
-    number = level(command)
-    medians = np.full(int(number.max(initial=0)) + 2, np.nan)
-    for n in np.unique(number[number >= 0]):
-        here = values[(number == n) & np.isfinite(values)]
-        if len(here) >= 10:
-            medians[n] = np.median(here)
-
-    def at(wanted: np.ndarray) -> np.ndarray:
-        place = level(wanted)
-        known = (place >= 0) & (place < len(medians))
-        return np.where(known, medians[np.where(known, place, 0)], np.nan)
-
-    return at
 
 
 def _disturbed(one: _Signal) -> None:
@@ -411,9 +377,9 @@ def _disturbed(one: _Signal) -> None:
     much = (size > _BURST_RATIO * usual) & quiet_command & (turns >= 8)
     if much.sum() * _BURST_S < 2.0:
         return
-    has_pressure = log.pressure is not None and log.has("pressure", one.channel)
-    if has_pressure and log.pressure is not None:
-        shakes = np.sqrt(np.mean(_fast(log.pressure[:, one.channel], width) ** 2, axis=1))
+    pressure = log.of("pressure", one.channel) if log.has("pressure", one.channel) else None
+    if pressure is not None:
+        shakes = np.sqrt(np.mean(_fast(pressure, width) ** 2, axis=1))
         # Against the ordinary shaking of the pressure where the command rests as well.
         calm = shakes[quiet_command & np.isfinite(shakes)]
         if calm.size and np.mean(shakes[much] > 0.5 * _BURST_RATIO * np.median(calm)) > 0.3:
@@ -430,12 +396,12 @@ def _disturbed(one: _Signal) -> None:
         f"(rows {one.rows[first]} to {one.rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "
         "the command hardly moves"
     )
-    if has_pressure:
-        hint = f"the pressure stays quiet, so the sensor is disturbed, not the machine: {_LEFT_OUT}"
-        one.invalid |= bad
+    if pressure is not None:
+        hint = "the pressure stays quiet, so the sensor is disturbed, not the machine"
+        one.leave_out(bad, "disturbed", message, hint, first)
     else:
         hint = "without a pressure signal it is unknown whether the machine shook or its sensor; the stretch counts"
-    one.tell("disturbed", message, hint, first)
+        one.tell("disturbed", message, hint, first)
 
 
 def _with_neighbours(much: np.ndarray, half: np.ndarray) -> np.ndarray:

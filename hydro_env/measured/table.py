@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 
-__all__ = ["MAX_VALUES", "Table", "check_size", "digest"]
+__all__ = ["MAX_VALUES", "Table", "check_size", "naming"]
 
 #: Numbers that a log may hold: ten signals for a day at 1 kHz, 7 GB. A file that claims or unpacks to more is refused before
 #: it fills the memory.
@@ -23,7 +24,6 @@ class Table:
     """Columns (T,) of float64 by name, NaN where a cell is empty; `lines` are the file's line numbers (T,); `units` what
     the file itself says of a column's unit."""
 
-    path: Path
     names: tuple[str, ...]
     columns: dict[str, np.ndarray]
     lines: np.ndarray
@@ -34,17 +34,25 @@ class Table:
         """The line of the file that holds sample `index` (the header is line 1)."""
         return int(self.lines[index])
 
+    def refused(self, column: str, problem: str, index: int | None = None) -> InputError:
+        """The error for a column that cannot be used, because of sample `index` if that is given."""
+        where = "" if index is None else f"row {self.row(index)}, "
+        return InputError(f"{where}column {column!r}: {problem}")
 
-def check_size(path: Path, values: int) -> None:
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Puts the file in front of every InputError: what reads a table says what is wrong, and here of which file."""
+    try:
+        yield
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def check_size(values: int) -> None:
     """InputError if a log of `values` numbers (rows times columns) is too large to read."""
     if values > MAX_VALUES:
         raise InputError(
-            f"{path}: holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "
+            f"holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "
             "export a shorter part, or fewer columns"
         )
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of the file's bytes, in hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -14,15 +14,7 @@ from hydro_env.files import write_bytes
 
 __all__ = ["to_pdf"]
 
-_NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome",
-    "msedge",
-    "microsoft-edge",
-)
+_NAMES = "chromium chromium-browser google-chrome google-chrome-stable chrome msedge microsoft-edge".split()
 #: Where browsers lie that are on no path: macOS and Windows.
 _PLACES = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
@@ -52,9 +44,8 @@ def to_pdf(page: Path, folder: Path) -> Path:
         except subprocess.TimeoutExpired:
             raise InputError(f"{page}: {command[0]} has not printed it after {_LIMIT:g} s") from None
         except OSError as problem:
-            raise InputError(
-                f"CHROME is {command[0]!r}: {problem.strerror}; a Chromium, Chrome or Edge is right"
-            ) from None
+            why = f"{problem.strerror}; a Chromium, Chrome or Edge is right"
+            raise InputError(f"CHROME is {command[0]!r}: {why}") from None
         if not made.is_file():
             said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
             raise InputError(f"{page}: {command[0]} does not print it: {said[-1]}")

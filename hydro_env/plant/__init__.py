@@ -13,9 +13,10 @@ sensors      noise of the sensors
 motor_map    steady flow, torque and efficiency of a model's motor
 """
 
-from .catalogue import BUILT_IN, CATALOGUE, Effect, State, register, unregister
+from .catalogue import BUILT_IN, CATALOGUE, Effect
+from .catalogue.effect import State, parameter_of, register, unregister
 from .catalogue.user_files import load_effects
-from .model import PlantModel, parameter_of
+from .model import PlantModel
 from .model_files import load_model, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate

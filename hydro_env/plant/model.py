@@ -13,7 +13,7 @@ import yaml
 from ..errors import InputError, suggestion
 from ..files import write_text
 from ..units import RPM
-from .catalogue import CATALOGUE, parameter_of
+from .catalogue.effect import CATALOGUE, parameter_of
 from .parameters import PARAMETERS
 from .validation import check_channel, wrong_values
 
@@ -149,6 +149,10 @@ class PlantModel:
             self, values=kept, declared=tuple(n for n in self.declared if n != effect), ranges=ranges
         )
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> PlantModel:
+        """Itself: a model never changes."""
+        return self
+
     def to_dict(self, source: str | Mapping[str, str] = "") -> dict[str, Any]:
         """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from: one
         text for all, or one by name or effect."""
@@ -166,7 +170,7 @@ class PlantModel:
         if effects:
             data["effects"] = effects
         if self.ranges:
-            data["ranges"] = {name: list(ends) for name, ends in self.ranges.items()}
+            data["ranges"] = {name: list(map(float, ends)) for name, ends in self.ranges.items()}
         if source:
             names = (*(n for n in self.values if "." not in n), *self.declared)
             data["sources"] = dict.fromkeys(names, source) if isinstance(source, str) else dict(source)
@@ -174,29 +178,4 @@ class PlantModel:
 
     def to_yaml(self, path: str | Path, source: str | Mapping[str, str] = "") -> None:
         """Writes the model file (atomically); `source` as in `to_dict`."""
-        write_text(Path(path), yaml.safe_dump(_exact(self.to_dict(source)), sort_keys=False))
-
-
-class _Float(float):
-    """A float that YAML reads back as one: `1e-05` would come back as text."""
-
-
-def _represent(dumper: yaml.SafeDumper, value: _Float) -> yaml.Node:
-    if math.isinf(value):
-        text = ".inf" if value > 0 else "-.inf"
-    else:
-        text = repr(float(value))
-        if "e" in text and "." not in text:
-            text = text.replace("e", ".0e")
-    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
-
-
-yaml.SafeDumper.add_representer(_Float, _represent)
-
-
-def _exact(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _exact(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_exact(value) for value in data]
-    return _Float(data) if isinstance(data, float) else data
+        write_text(Path(path), yaml.safe_dump(self.to_dict(source), sort_keys=False))

@@ -192,16 +192,21 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
 def _built_on(source: str, where: str, above: tuple[str, ...]) -> PlantModel:
     """The preset or model file that another one names as its base or valve."""
     try:
-        if source in preset_names():
-            return _preset(source)
-        file, own = _read(source)
-        if own in above:
-            raise InputError("a model cannot build on itself")
-        if len(above) == MAX_FILES:
-            raise InputError(f"at most {MAX_FILES} files build on each other")
-        return _model(file, own, above)
+        return _built(source, above)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+
+
+def _built(source: str | Path | Mapping[str, Any], above: tuple[str, ...] = ()) -> PlantModel:
+    """A model that is built; `above` as for `_model`."""
+    if isinstance(source, str) and source in preset_names():
+        return _preset(source)
+    file, own = _read(source)
+    if own in above:
+        raise InputError("a model cannot build on itself")
+    if len(above) == MAX_FILES:
+        raise InputError(f"at most {MAX_FILES} files build on each other")
+    return _model(file, own, above)
 
 
 # --- where values are from --------------------------------------------------------------------------------------------
@@ -251,9 +256,12 @@ def preset_names() -> list[str]:
 
 def preset_summary(name: str) -> str:
     """What a preset is, in a line: the first sentence of the comment that its file begins with."""
-    text = (resources.files(__package__) / "presets" / f"{name}.yaml").read_text(encoding="utf-8")
-    comment = " ".join(line.lstrip("# ") for line in text.partition("schema:")[0].splitlines())
+    comment = " ".join(line.lstrip("# ") for line in _preset_text(name).partition("schema:")[0].splitlines())
     return re.split(r"\. (?=[A-Z])|;|\.$", comment)[0]
+
+
+def _preset_text(name: str) -> str:
+    return (resources.files(__package__) / "presets" / f"{name}.yaml").read_text(encoding="utf-8")
 
 
 @cache
@@ -266,31 +274,22 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
 
     InputError, in one line that names file and key, for anything that is not right.
     """
-    if isinstance(source, PlantModel):
-        return source
-    if isinstance(source, str) and source in preset_names():
-        return _preset(source)
-    return _model(*_read(source))
+    return source if isinstance(source, PlantModel) else _built(source)
 
 
 def _read(source: str | Path | Mapping[str, Any]) -> tuple[_ModelFile, str]:
     """What stands in a model file, and what to call it in errors."""
-    data, where = _data(source)
-    return checked(_ModelFile, data, where), where
-
-
-def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
+    text = str(source)
     if isinstance(source, Mapping):
-        return source, "model"
-    if not isinstance(source, str | Path):
+        data, where = source, "model"
+    elif not isinstance(source, str | Path):
         raise InputError(
             f"plant is {shown(source)}, expected a preset ({', '.join(preset_names())}), a YAML file, a mapping or a model"
         )
-    text = str(source)
-    if text in preset_names():
-        file = resources.files(__package__) / "presets" / f"{text}.yaml"
-        return parse_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
-    path = Path(source)
-    if path.suffix in (".yaml", ".yml") or os.path.exists(path):
-        return read_yaml(path, "a model in YAML"), os.path.normpath(path)
-    raise InputError(f"unknown plant {shown(text)}: no such file, and {suggestion(text, preset_names())}")
+    elif text in preset_names():
+        data, where = parse_yaml(_preset_text(text), f"preset {text}"), f"preset {text}"
+    elif text.endswith((".yaml", ".yml")) or os.path.exists(text):
+        data, where = read_yaml(Path(source), "a model in YAML"), os.path.normpath(source)
+    else:
+        raise InputError(f"unknown plant {shown(text)}: no such file, and {suggestion(text, preset_names())}")
+    return checked(_ModelFile, data, where), where

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .catalogue import CATALOGUE
+from .catalogue.effect import arguments
 from .catalogue.losses import FAMILY
 from .model import PlantModel
 
@@ -46,25 +47,17 @@ def motor_map(model: PlantModel, pressure: ArrayLike, speed: ArrayLike, channel:
     """
     p, w = np.broadcast_arrays(np.asarray(pressure, dtype=float), np.asarray(speed, dtype=float))
     base = model.channels[channel]
-    points = [_point(model, base, channel, float(a), float(b)) for a, b in zip(p.flat, w.flat, strict=True)]
-    flow, torque = (np.reshape(column, p.shape) for column in zip(*points, strict=True))
+    known: dict[str, Any] = {**base, "pressure": p, "motor_pressure": p, "speed": w}
+    known |= {"leakage": base["Km"] * p, "torque": -base["B"] * w}
+    for name, pair in model.effects.items():
+        if CATALOGUE[name].family == FAMILY:
+            for quantity, law in CATALOGUE[name].laws.items():
+                given = known | pair[channel]
+                known[quantity] = np.vectorize(law, [float])(*(given[asked] for asked in arguments(law)))
+    flow, torque = base["D"] * w + known["leakage"], base["D"] * p + known["torque"]
     loss = p * flow - torque * w
     with np.errstate(divide="ignore", invalid="ignore"):
         drives = (p * w > 0.0) & (torque * w > 0.0)
         volumetric = np.where(drives, base["D"] * w / flow, np.nan)
         hydromechanical = np.where(drives, torque / (base["D"] * p), np.nan)
     return MotorMap(p, w, flow, torque, loss, volumetric, hydromechanical)
-
-
-def _point(
-    model: PlantModel, base: dict[str, float], channel: int, pressure: float, speed: float
-) -> tuple[float, float]:
-    lost = {"leakage": base["Km"] * pressure, "torque": -base["B"] * speed}
-    point = {**base, "pressure": pressure, "motor_pressure": pressure, "speed": speed}
-    for name, pair in model.effects.items():
-        effect, known = CATALOGUE[name], point | pair[channel]
-        if effect.family == FAMILY:
-            for quantity, law in effect.laws.items():
-                others = [known[a] for a in list(inspect.signature(law).parameters)[1:]]
-                lost[quantity] = law(lost[quantity], *others)
-    return base["D"] * speed + lost["leakage"], base["D"] * pressure + lost["torque"]

@@ -9,7 +9,7 @@ inside them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf, isinf, isnan, nan
 
 from ..units import BAR, REVOLUTION, RPM
@@ -54,7 +54,7 @@ class Parameter:
     the values of a shape that are worth a first look where the effect may not act at the neutral one.
 
     `possible` are the values that a model may have, beside the neutral one: for the parameter of an effect the plausible
-    bounds unless given, for a base parameter those that are simulated correctly, see `_POSSIBLE`. What is usual on the paper's
+    bounds unless given, for a base parameter those that are simulated correctly. What is usual on the paper's
     rig is scaled to others by the unit (`scales`), unless it is `absolute`: a property of the fluid, or what makes the size of a
     rig itself. `per` is the unit of a quantity of the paper's rig to which one without unit is relative.
 
@@ -119,99 +119,74 @@ class Parameter:
         return self.note.split(";")[0] or self.name.replace("_", " ")
 
 
+# What is `possible` is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`):
+# of what makes the size of a rig, from 2 cm3 and 10 bar to 500 cm3 and 350 bar; of the rest ten times the plausible range either
+# way on a rig of the paper's size, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is the
+# piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as long as
+# mass and line do not ring too fast (`validation.check_channel`). Actions are fractions of `u_rated`.
 _ROWS = (
     # --- hydraulic motor: equations (1)-(3), Table I ---
     Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION,
-        log=True, absolute=True, scaling={"D": 1.0}, note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
+        possible=(1e-7, 0.3), log=True, absolute=True, scaling={"D": 1.0},
+        note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
     Parameter("J", "kg m2", 0.0028, low=0.0014, high=0.0056, log=True, absolute=True, scaling=MOTOR_SIZE,
-        note="inertia of motor and load", source="paper, Table I"),
+        possible=(3e-6, 1e3), note="inertia of motor and load", source="paper, Table I"),
     Parameter("B", "N m s/rad", 0.00045 / RPM, low=0.0, high=0.02, log=True, scaling=MOTOR_SIZE,
-        note="viscous friction of the motor", source="paper, Table I: 0.00045 N m/rpm"),
+        possible=(0.0, 0.2), note="viscous friction of the motor", source="paper, Table I: 0.00045 N m/rpm"),
     Parameter("Km", "m3/(s Pa)", 15.92e-6 / BAR, low=15.92e-6 / BAR / 100, high=15.92e-6 / BAR * 3, log=True, scaling=MOTOR_SIZE,
+        possible=(0.0, 5e-9),
         note="internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both "
-        "published loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute "
-        "the published gains are unstable",
-        source="paper, Table I: 15.92 cm3/bar"),
+        "published loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published "
+        "gains are unstable", source="paper, Table I: 15.92 cm3/bar"),
     Parameter("beta", "Pa", 12670 * BAR, low=4e8, high=1.9e9, log=True, absolute=True, scaling={"D": -1.0},
-        note="bulk modulus of the fluid", source="paper, Table I: 12670 bar"),
+        possible=(4e7, 1.9e10), note="bulk modulus of the fluid", source="paper, Table I: 12670 bar"),
     Parameter("V", "m3", 1e-4, low=2e-5, high=1e-3, log=True,
-        note="half the oil volume of one line, from valve to motor; results hardly depend on it",
+        possible=(2e-6, 1e-2), note="half the oil volume of one line, from valve to motor; results hardly depend on it",
         source="assumed: the paper gives no value"),
     # --- valve: equations (5), (6), (8), Table II ---
     Parameter("m", "kg", 0.4, low=0.2, high=0.8, log=True, scaling={"k": 1.0, "Kq": 1.0},
-        note="mass of spool and solenoid core", source="paper, Table II"),
+        possible=(0.03, 8.0), note="mass of spool and solenoid core", source="paper, Table II"),
     Parameter("R", "Ohm", 100.0, low=80.0, high=125.0, log=True, absolute=True,
-        note="resistance of the coil", source="paper, Table II; (6) prints R_i for R i"),
+        possible=(0.1, 1e4), note="resistance of the coil", source="paper, Table II; (6) prints R_i for R i"),
     Parameter("L", "H", 0.1, low=0.05, high=0.2, log=True, absolute=True,
-        note="inductance of the coil", source="paper, Table II"),
+        possible=(1e-4, 100.0), note="inductance of the coil", source="paper, Table II"),
     Parameter("alpha", "N/A", 20.0, low=14.0, high=28.0, log=True, absolute=True, scaling=SPOOL_FORCE,
-        note="force of the coil per current; also its back-EMF", source="paper, Table II: 20 V s/m"),
+        possible=(0.1, 1e5), note="force of the coil per current; also its back-EMF", source="paper, Table II: 20 V s/m"),
     Parameter("k", "N/m", 17000.0, low=12000.0, high=24000.0, log=True, absolute=True, scaling={"k": 1.0, "Kq": 1.0},
-        note="rate of the centring springs", source="paper, Table II"),
+        possible=(1e3, 1e6), note="rate of the centring springs", source="paper, Table II"),
     Parameter("C", "N s/m", 0.2, low=0.0, high=40.0,
-        note="viscous damping of the spool", source="paper, Table II: 0.2 without unit, read as N s/m"),
+        possible=(0.0, 1e3), note="viscous damping of the spool", source="paper, Table II: 0.2 without unit, read as N s/m"),
     Parameter("Kq", "m2/s", 476106e-6, low=0.15, high=0.75, log=True, absolute=True, scaling={"Kq": 1.0, "D": 1.0},
+        possible=(1e-6, 100.0),
         note="flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the "
-        "class of this valve",
-        source="paper, Table II: 476106 (V1), 315000 (V2), no unit"),
+        "class of this valve", source="paper, Table II: 476106 (V1), 315000 (V2), no unit"),
     # --- friction of the spool: LuGre, equations (9)-(11), Table II ---
     Parameter("Fc", "N", 0.1, low=0.02, high=1.0, log=True, scaling=SPOOL_FORCE,
-        note="Coulomb friction of the spool", source="paper, Table II"),
+        possible=(0.0, 2.0), note="Coulomb friction of the spool", source="paper, Table II"),
     Parameter("Fs", "N", 0.2, low=0.02, high=1.5, log=True, scaling=SPOOL_FORCE,
-        note="static friction of the spool", source="paper, Table II: 0.2 (V1), 0.15 (V2)"),
+        possible=(0.0, 2.0), note="static friction of the spool", source="paper, Table II: 0.2 (V1), 0.15 (V2)"),
     Parameter("vs", "m/s", 0.007, low=1e-4, high=2e-2, log=True, scaling=SPOOL_TRAVEL,
-        note="Stribeck speed of the spool", source="paper, Table II: 0.007 (V1), 0.0001 (V2)"),
+        possible=(1e-5, 0.2), note="Stribeck speed of the spool", source="paper, Table II: 0.007 (V1), 0.0001 (V2)"),
     Parameter("s0", "N/m", 1e5, low=3e4, high=3e5, log=True,
-        note="stiffness of the spool's bristles", source="paper, Table II, which prints N s/m"),
+        possible=(3e3, 1e7), note="stiffness of the spool's bristles", source="paper, Table II, which prints N s/m"),
     Parameter("s1", "N s/m", 470.0, low=100.0, high=1000.0, log=True,
-        note="damping of the spool's bristles", source="paper, Table II"),
+        possible=(10.0, 1e4), note="damping of the spool's bristles", source="paper, Table II"),
     Parameter("s2", "N s/m", 0.2, low=0.0, high=40.0,
-        note="viscous friction of the spool", source="paper, Table II"),
+        possible=(0.0, 400.0), note="viscous friction of the spool", source="paper, Table II"),
     # --- limits of the real valve, which the paper's equations leave out ---
-    Parameter("x_max", "m", 1e-3, low=0.9e-3, high=1.2e-3,
+    Parameter("x_max", "m", 1e-3, low=0.9e-3, high=1.2e-3, possible=(1e-4, 5e-3),
         note="half stroke between the end stops; without stops full-range random commands reach 0.4-0.7 m/s",
         source="assumed: the rated spool position is 0.86 mm"),
     Parameter("k_stop", "N/m", 5e5, low=1e5, high=5e6, log=True,
-        note="stiffness of the end stops: the coil's full force compresses them by 30 um", source="assumed"),
+        possible=(1e4, 1e7), note="stiffness of the end stops: the coil's full force compresses them by 30 um", source="assumed"),
     Parameter("v_stop", "m/s", 0.05, low=0.01, high=0.2, log=True,
-        note="greatest rebound speed of the end stops", source="assumed: squeeze film, hardly any rebound"),
+        possible=(1e-3, 0.5), note="greatest rebound speed of the end stops", source="assumed: squeeze film, hardly any rebound"),
     Parameter("u_rated", "V", 73.0, low=1.0, high=inf, absolute=True,
-        note="limit of the command, both ways", source="paper, Fig. 2: 730 mA over R = 100 Ohm"),
+        possible=(0.1, 1e6), note="limit of the command, both ways", source="paper, Fig. 2: 730 mA over R = 100 Ohm"),
 )  # fmt: skip
 
-#: What is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`): of what makes
-#: the size of a rig, from 2 cm3 and 10 bar to 500 cm3 and 350 bar; of the rest ten times the plausible range either way on a rig
-#: of the paper's size, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is the piston area, or
-#: whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as long as mass and line do
-#: not ring too fast (`validation.check_channel`).
-_POSSIBLE: dict[str, tuple[float, float]] = {
-    "D": (1e-7, 0.3),
-    "J": (3e-6, 1e3),
-    "Kq": (1e-6, 100.0),
-    "Km": (0.0, 5e-9),
-    "R": (0.1, 1e4),
-    "L": (1e-4, 100.0),
-    "alpha": (0.1, 1e5),
-    "k": (1e3, 1e6),
-    "C": (0.0, 1e3),
-    "Fc": (0.0, 2.0),
-    "Fs": (0.0, 2.0),
-    "m": (0.03, 8.0),
-    "s0": (3e3, 1e7),
-    "s1": (10.0, 1e4),
-    "x_max": (1e-4, 5e-3),
-    "k_stop": (1e4, 1e7),
-    "v_stop": (1e-3, 0.5),
-    "u_rated": (0.1, 1e6),  # actions are fractions of it
-}
-
-
-def _with_possible(row: Parameter) -> Parameter:
-    return replace(row, possible=_POSSIBLE.get(row.name, (row.low / 10.0, row.high * 10.0)))
-
-
 #: The base parameters of a channel, by symbol.
-PARAMETERS: dict[str, Parameter] = {row.name: _with_possible(row) for row in _ROWS}
+PARAMETERS: dict[str, Parameter] = {row.name: row for row in _ROWS}
 
 #: A shape parameter of effects whose size depends on the pressure drop over single edges.
 SUPPLY_PRESSURE = Parameter(

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from math import ceil, inf
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -114,8 +114,9 @@ class Plant:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
         half = _half(self.num_rigs, dtype) if block is None else block
-        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype, grouped)
-        kernel = self._kernel
+        #: The compiled step.
+        self.kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype, grouped)
+        kernel = self.kernel
         blocks = -(-self.num_rigs // kernel.half)
         described = [CATALOGUE[name] for name in kernel.effects]
         self._delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
@@ -126,25 +127,17 @@ class Plant:
                 f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MAX_DELAY:g} s"
                 " are right"
             )
-        need = blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize
-        self._fits(need)
+        self._fits(blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize)
         self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
         #: The delay line: commands of rows and how long these lasted, s, and the slot of the last one.
         self._ring, self._lasted = np.zeros((blocks, 1, 2 * kernel.half)), np.full((blocks, 1), inf)
         self._head = 0
         self._empty = np.zeros((0, 1, self.num_rigs, 2))
-        for name in PARAMETERS:
-            self._fill(name, self.model.pair(name))
-        for effect in kernel.effects:
-            for parameter in CATALOGUE[effect].parameters:
-                self._fill(f"{effect}.{parameter.name}", self.model.pair(f"{effect}.{parameter.name}"))
-        self._flat, self._cells = self._memory.reshape(-1), kernel.room()
+        names = [*PARAMETERS, *(f"{e.name}.{p.name}" for e in described for p in e.parameters)]
+        pairs = np.array([self.model.pair(name) for name in names])
+        self._by_channel(self._memory)[:, [self.row_of(name) for name in names]] = pairs[..., None]
+        self._cells = kernel.room()
         self._observe()
-
-    @property
-    def kernel(self) -> Kernel:
-        """The compiled step."""
-        return self._kernel
 
     def _fits(self, need: float) -> None:
         """InputError where so many bytes are more than this machine has."""
@@ -157,7 +150,7 @@ class Plant:
     def make_room(self, period: float) -> None:
         """Has the delay line hold what is under way in rows of `period` s; shorter rows need more room."""
         blocks, slots, lanes = self._ring.shape
-        if not self._kernel.has_delay or slots >= (wanted := int(self._longest_delay / period) + 3):
+        if not self.kernel.has_delay or slots >= (wanted := int(self._longest_delay / period) + 3):
             return
         self._fits(blocks * 8.0 * wanted * (lanes + 1))
         ring, lasted = np.zeros((blocks, wanted, lanes)), np.full((blocks, wanted), inf)
@@ -169,27 +162,15 @@ class Plant:
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects whose terms are compiled in."""
-        return self._kernel.effects
-
-    def _row(self, name: str) -> int:
-        try:
-            return self._kernel.rows[name]
-        except KeyError:
-            parameter_of(name)  # InputError for a name that nobody knows
-            raise KeyError(
-                f"{name}: the effect is not among this plant's ({', '.join(self.effects) or 'none'})"
-            ) from None
-
-    def _fill(self, name: str, pair: tuple[float, float]) -> None:
-        self._by_channel(self._memory)[:, self._row(name)] = np.array(pair)[:, None]
+        return self.kernel.effects
 
     def _by_channel(self, cells: Array) -> Array:
         """The memory or the delay line, (blocks, rows, 2 * half), with an axis for the channel: (blocks, rows, 2, half)."""
-        return cells.reshape(len(cells), -1, 2, self._kernel.half)
+        return cells.reshape(len(cells), -1, 2, self.kernel.half)
 
     def get(self, name: str) -> Array:
         """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
-        row = self._by_channel(self._memory)[:, self._row(name)]
+        row = self._by_channel(self._memory)[:, self.row_of(name)]
         return row.swapaxes(1, 2).reshape(-1, 2)[: self.num_rigs].astype(np.float64)
 
     @property
@@ -202,7 +183,13 @@ class Plant:
 
     def row_of(self, name: str) -> int:
         """Number of the row of `memory` that holds a parameter or signal. KeyError for a name the plant lacks."""
-        return self._row(name)
+        try:
+            return self.kernel.rows[name]
+        except KeyError:
+            parameter_of(name)  # InputError for a name that nobody knows
+            raise KeyError(
+                f"{name}: the effect is not among this plant's ({', '.join(self.effects) or 'none'})"
+            ) from None
 
     def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
         """Sets a parameter ("Kq", "dead_zone.overlap_positive") of all rigs or of `rows` (indices or mask).
@@ -219,7 +206,7 @@ class Plant:
         for name, value, place, pair in zip(values, values.values(), places, pairs, strict=True):
             if name not in PARAMETERS and "." not in name:
                 parameter_of(name)
-            place[:], pair[:] = self._row(name), value
+            place[:], pair[:] = self.row_of(name), value
             if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
                 raise InputError(
                     f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
@@ -228,8 +215,8 @@ class Plant:
 
     def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
         """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state here."""
-        row = self._row(state)
-        if row >= self._kernel.rows["time"]:  # states come first
+        row = self.row_of(state)
+        if row >= self.kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
         block, lane = self._lanes(rows)
         self._by_channel(self._memory)[block, row, :, lane] += np.asarray(by, float)
@@ -245,7 +232,7 @@ class Plant:
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), to rest at time zero."""
-        moving = self._kernel.rows["load"] + 1  # states and outputs come first, in this order
+        moving = self.kernel.rows["load"] + 1  # states and outputs come first, in this order
         if rows is None:
             self._memory[:, :moving, :] = 0.0
             self._ring[:] = 0.0
@@ -268,7 +255,7 @@ class Plant:
 
         ValueError if there are not as many, or other effects.
         """
-        kernel = self._kernel
+        kernel = self.kernel
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
@@ -277,7 +264,7 @@ class Plant:
             self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
         moving = kernel.num_rows if parameters else kernel.rows["load"] + 1
-        if rows is None and kernel.half == other._kernel.half:
+        if rows is None and kernel.half == other.kernel.half:
             self._memory[:, :moving] = other._memory[:, :moving]
             if kernel.has_delay:
                 self._ring[:] = other._ring
@@ -290,18 +277,12 @@ class Plant:
 
     def select(self, rows: NDArray[np.int64]) -> Plant:
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""
-        half, n = self._kernel.half, len(rows)
-        blocks = -(-n // half)
-        block, lane = self._lanes(np.resize(rows, blocks * half))  # all lanes of the last block hold a rig
-        some = object.__new__(type(self))
-        state = self.__getstate__()
-        state["num_rigs"], state["_empty"] = n, np.zeros((0, 1, n, 2))
-        state["_lasted"] = np.tile(self._lasted[:1], (blocks, 1))
-        for name in ("_memory", "_ring"):
-            cells = state[name].reshape(len(self._memory), -1, 2, half)[block, :, :, lane]
-            apart = cells.reshape(blocks, half, -1, 2).transpose(0, 2, 3, 1)
-            state[name] = np.ascontiguousarray(apart).reshape(blocks, -1, 2 * half)
-        some.__setstate__(state)
+        kernel = self.kernel
+        some = Plant(
+            self.model, len(rows), effects=kernel.effects, tolerance=self.tolerance, dtype=kernel.dtype, block=kernel.half,
+            grouped=kernel.grouped,
+        )  # fmt: skip
+        some.take_state(self, rows, parameters=True)
         return some
 
     def _lanes(self, rows: ArrayLike | slice | None = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -309,7 +290,7 @@ class Plant:
         rigs = np.arange(self.num_rigs)
         if rows is not None:
             rigs = rigs[rows if isinstance(rows, slice) else np.asarray(rows)].reshape(-1)
-        return rigs // self._kernel.half, rigs % self._kernel.half
+        return rigs // self.kernel.half, rigs % self.kernel.half
 
     def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
         """Holds commands (V) and loads (N m), each broadcast to (num_rigs, 2), over `period` s.
@@ -317,30 +298,23 @@ class Plant:
         Commands beyond the rated one are clipped. A rig that diverges numerically is put to rest and marked in
         `diverged`, so no signal is ever NaN. ValueError if a command or load is not finite.
         """
-        shape = (1, self.num_rigs, 2)
-        command = np.empty(shape)
-        command[0] = command_V
-        load = np.empty(shape)
-        load[0] = load_Nm
+        command, load = (np.full((self.num_rigs, 2), each, np.float64) for each in (command_V, load_Nm))
         if not (np.isfinite(command).all() and np.isfinite(load).all()):
             raise ValueError("a command or load is not finite")
-        if not period > 0.0:
-            raise ValueError(f"period is {period}, expected more than 0 s")
-        self.hold(command[0], load[0], period)
+        self.hold(command, load, period)
 
     def hold(self, command_V: Array, load_Nm: Array, period: float) -> None:
-        """`step` without its checks: finite float64 arrays (num_rigs, 2)."""
+        """`step` without these checks: finite float64 arrays (num_rigs, 2)."""
         self._advance(command_V[None], load_Nm[None], period, points=grid_points(period))
 
     def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, period: float) -> None:
         """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. `make_room`
         was called before; the period is over when all rigs have been held and `turn` was called."""
-        half, cells = self._kernel.half, self._kernel.num_rows * 2 * self._kernel.half
-        first, last = rigs.start // half, -(-rigs.stop // half)
-        self._kernel.advance(
-            self._flat[first * cells : last * cells], self._kernel.room(),
-            self._ring[first:last] if self._kernel.has_delay else None, self._lasted[first:last], self._head,
-            command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
+        half = self.kernel.half
+        blocks = slice(rigs.start // half, -(-rigs.stop // half))
+        self.kernel.advance(
+            self._memory[blocks].reshape(-1), self.kernel.room(), self._ring[blocks] if self.kernel.has_delay else None,
+            self._lasted[blocks], self._head, command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
             self._empty[:, :, rigs], grid_points(period),
         )  # fmt: skip
 
@@ -362,7 +336,7 @@ class Plant:
         load = np.zeros((1, 1, 2)) if load_Nm is None else _sequence(load_Nm, self.num_rigs, "load_Nm")
         if load.shape[0] not in (1, command.shape[0]):
             raise ValueError(f"load_Nm has {load.shape[0]} rows, command_V has {command.shape[0]}")
-        rows = np.array([self._row(name) for name in record], dtype=np.int64)
+        rows = np.array([self.row_of(name) for name in record], dtype=np.int64)
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
         self.run_into(out, command, load, period, rows, every)
         return dict(zip(record, out, strict=True))
@@ -373,8 +347,6 @@ class Plant:
         """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
         the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
         """
-        if not period > 0.0:
-            raise ValueError(f"period is {period}, expected more than 0 s")
         self._advance(command_V, load_Nm, period, rows, every, out)
 
     def _advance(
@@ -382,10 +354,12 @@ class Plant:
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
         points: int = 0,
     ) -> None:  # fmt: skip
+        if not period > 0.0:
+            raise ValueError(f"period is {period}, expected more than 0 s")
         out = self._empty if out is None else out
         self.make_room(period)
-        self._kernel.advance(
-            self._flat, self._cells, self._ring if self._kernel.has_delay else None, self._lasted, self._head,
+        self.kernel.advance(
+            self._memory.reshape(-1), self._cells, self._ring if self.kernel.has_delay else None, self._lasted, self._head,
             command_V, load_Nm, period, self.tolerance, rows, every, out, points,
         )  # fmt: skip
         self.turn(command_V.shape[0])
@@ -398,13 +372,12 @@ class Plant:
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states, which come first in the memory."""
-        return tuple(name for name, row in self._kernel.rows.items() if row < self._kernel.rows["time"])
+        return tuple(name for name, row in self.kernel.rows.items() if row < self.kernel.rows["time"])
 
     @property
     def angle_acts(self) -> bool:
         """Whether an effect goes by the shaft's angle; without one it is the integral of the speed and nothing else."""
-        laws = (law for name in self.effects for law in CATALOGUE[name].laws.values())
-        return any("angle" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
+        return any(CATALOGUE[name].reads("angle") for name in self.effects)
 
     # --- signals --------------------------------------------------------------------------------------------------
     current: Array = _signal("current", "Coil currents, A.")
@@ -445,29 +418,15 @@ class Plant:
 
     # --- copies ---------------------------------------------------------------------------------------------------
     def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        del state["_kernel"], state["_flat"], state["_cells"]
-        state["_effects"], state["_half"] = self.effects, self._kernel.half
-        state["_grouped"] = self._kernel.grouped
-        return state
+        return {name: value for name, value in self.__dict__.items() if name != "_cells"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        effects, half, grouped = state.pop("_effects"), state.pop("_half"), state.pop("_grouped")
         self.__dict__.update(state)
-        self._kernel = compile_kernel(effects, half, self._memory.dtype, grouped)
-        self._flat, self._cells = self._memory.reshape(-1), self._kernel.room()
+        self._cells = self.kernel.room()
 
     def copy(self) -> Plant:
         """Rigs of their own with the same parameters and state."""
         return copy.deepcopy(self)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
-        twin = object.__new__(type(self))
-        state = self.__getstate__()
-        for name in ("_memory", "_ring", "_lasted", "_empty"):
-            state[name] = state[name].copy()
-        twin.__setstate__(state)
-        return twin
 
 
 def _sequence(values: Array, num_rigs: int, name: str) -> Array:
@@ -481,20 +440,10 @@ def _sequence(values: Array, num_rigs: int, name: str) -> Array:
     return array
 
 
-class PlantOptions(TypedDict, total=False):
-    """Options of `Plant`, see there."""
-
-    effects: Iterable[str]
-    tolerance: float | None
-    dtype: DTypeLike
-    block: int | None
-    grouped: bool
-
-
 def simulate(
     model: str | Path | PlantModel, command_V: Array, load_Nm: Array | None, period: float, *,
     values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1, record: Sequence[str] = ("speed",),
-    every: int = 1, **options: Unpack[PlantOptions],
+    every: int = 1, **options: Any,
 ) -> dict[str, Array]:  # fmt: skip
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..units import with_unit
-from .catalogue import CATALOGUE, parameter_of
+from .catalogue.effect import CATALOGUE, parameter_of
 from .friction import MAX_PEAK, MIN_FRICTION
 from .parameters import Parameter
 from .scales import PAPER, Rig, scales_of

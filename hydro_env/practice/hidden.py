@@ -216,17 +216,12 @@ def true_model(
             wrong[f"Fs_{c + 1}"]["value"] = changed["Fs"][c]
     true = given.with_values(changed, name="rig")
     for h in hidden:
-        on = h.acts_on
-        for c in (0, 1):
-            acts = given.effects.get(h.name)
-            if on[c] and acts is not None and not CATALOGUE[h.name].is_neutral(acts[c]):
+        for c, acts in enumerate(given.effects.get(h.name, ())):
+            if h.acts_on[c] and not CATALOGUE[h.name].is_neutral(acts):
                 raise InputError(
                     f"{h.name}: model {given.name!r} has this effect on channel {c + 1} already; "
                     "hide another effect, or begin with a model without this one"
                 )
-        values = {}
-        for own, value in h.parameters.items():
-            old = true.pair(f"{h.name}.{own}")
-            values[f"{h.name}.{own}"] = (value if on[0] else old[0], value if on[1] else old[1])
-        true = true.with_values(values)
+        values = {f"{h.name}.{own}": value for own, value in h.parameters.items()}
+        true = true.with_values({n: np.where(h.acts_on, v, true.pair(n)) for n, v in values.items()})
     return true, wrong

@@ -125,46 +125,41 @@ def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
     return signals | {name: np.where(line < _VACUUM, np.nan, line) for name, line in lines.items()}
 
 
-def _of_the_papers_size(given: PlantModel) -> bool:
-    return replace(scales_of(given), command=1.0) == PAPER
-
-
 @dataclass(frozen=True)
 class _Motor:
     """A motor behind its valve, linearised: its `full` speed at the rated command without load, rpm, the square of the frequency
-    at which it swings on its lines, (rad/s)2, how fast that decays, 1/s, the time in which the supply brings it up to speed, s,
-    and whether its leakage holds the pressure below the supply's."""
+    at which it swings on its lines, (rad/s)2, and how fast that decays, 1/s.
+
+    `ramp` is the time from standstill to the full command, s, in which the lines stay between tank and supply: three times what
+    the supply takes to bring it up to speed, and a swing; none where its leakage holds the pressure below the supply's. It is
+    what an engineer sets at the amplifier. As a run has to end, it has a longest value."""
 
     full: float
     swing: float
     decay: float
-    start: float
-    leaks: bool
+    ramp: float
 
     @classmethod
     def of(cls, given: PlantModel, channel: int) -> _Motor:
-        value = {name: given.value(name, channel) for name in ("D", "J", "Km")}
+        D, J, Km = (given.value(name, channel) for name in ("D", "J", "Km"))
         at = rated(given, channel)
         square, decay = swing(given, channel)
-        start = value["J"] * at["flow"] / (value["D"] ** 2 * at["pressure"])
-        full = at["flow"] / at["displacement"] / RPM
-        return cls(full, square, decay, start, at["flow"] < value["Km"] * at["pressure"])
+        start = J * at["flow"] / (D**2 * at["pressure"])
+        once = 0.0 if decay > 2.0 * math.sqrt(square) else 2.0 * math.pi / math.sqrt(square)
+        leaks = at["flow"] < Km * at["pressure"]
+        ramp = 0.0 if leaks else min(LONGEST * REACH, max(3.0 * start, once))
+        return cls(at["flow"] / at["displacement"] / RPM, square, decay, ramp)
 
-    @property
-    def ramp(self) -> float:
-        """The time from standstill to the full command, s, in which the lines stay between tank and supply: three times what the
-        supply takes, and a swing; what an engineer sets at the amplifier. As a run has to end, it has a longest value."""
-        if self.leaks:
-            return 0.0
-        calm = self.decay > 2.0 * math.sqrt(self.swing)
-        once = 0.0 if calm else 2.0 * math.pi / math.sqrt(self.swing)
-        return min(LONGEST * REACH, max(3.0 * self.start, once))
+
+def _motors(given: PlantModel) -> list[_Motor]:
+    """The motors of a rig that is not of the paper's size; none else, as nothing has to be slower or weaker there."""
+    own_size = replace(scales_of(given), command=1.0) != PAPER
+    return [_Motor.of(given, channel) for channel in (0, 1)] if own_size else []
 
 
 def stretch_of(given: PlantModel) -> float:
     """How many times as long manoeuvres last on a rig as on the paper's, so that its ramps reach what they are to reach."""
-    ramps = [0.0] if _of_the_papers_size(given) else [_Motor.of(given, c).ramp for c in (0, 1)]
-    return max(1.0, max(ramps) / REACH)
+    return max([1.0, *(motor.ramp / REACH for motor in _motors(given))])
 
 
 class _SpeedLoop:
@@ -179,15 +174,15 @@ class _SpeedLoop:
         self.gain = 0.016 * 476106e-6 / np.array(given.pair("Kq"))  # V/rpm
         self.reset_time, self.period = np.full(2, 0.156), period  # s
         self.limit = np.array(given.pair("u_rated"))
-        if not _of_the_papers_size(given):
-            self.ahead = self._tune(given)
+        if motors := _motors(given):
+            self.ahead = self._tune(given, motors)
         self.sum = np.zeros(2)  # rpm s
 
-    def _tune(self, given: PlantModel) -> tuple[Array, Array]:
+    def _tune(self, given: PlantModel, motors: Sequence[_Motor]) -> tuple[Array, Array]:
         """Sets the gains for a rig of another size, and gives what goes ahead."""
         slope, edge = np.zeros(2), np.zeros(2)
-        for c in (0, 1):
-            motor, at = _Motor.of(given, c), rated(given, c)
+        for c, motor in enumerate(motors):
+            at = rated(given, c)
             spool = math.sqrt(given.value("k", c) / given.value("m", c))  # rad/s
             slope[c] = at["command"] / motor.full
             edge[c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
@@ -235,8 +230,7 @@ class Recorder:
         steps, scales = max(1, round(self.duration / self.period)), scales_of(self.given)
         every = plans(run, plan_seed, self.period / stretch_of(self.given), steps)
         found = [p.scaled(scales.speed, scales.torque) for p in every]
-        if not _of_the_papers_size(self.given):
-            motors = [_Motor.of(self.given, c) for c in (0, 1)]
+        if motors := _motors(self.given):
             step, full = self.period / max(1e-9, *(m.ramp for m in motors)), min(m.full for m in motors)
             found = [p.ramped(step, step * full) for p in found]
         return self.played(found, noise_seed)

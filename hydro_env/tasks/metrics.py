@@ -168,5 +168,4 @@ def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Float
     for name in chosen:
         if name not in METRICS:
             raise InputError(f"unknown metric {name!r}: {suggestion(name, METRICS)}")
-    values = {of: of(trace) for of in dict.fromkeys(METRICS[name].of for name in chosen)}
-    return {name: values[METRICS[name].of] for name in chosen}
+    return {name: METRICS[name].of(trace) for name in chosen}

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from math import inf, nan
@@ -36,7 +36,7 @@ from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Component, Streams
 from ..units import with_unit
-from ..validation import FileTable, Number, checked
+from ..validation import FileTable, Number, checked, known
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
 
 __all__ = [
@@ -169,25 +169,76 @@ class Pairs:
     fault: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """A distribution of pairs.
+#: The named splits and pairs of `splits.yaml`.
+SPLITS: dict[str, Mismatch] = {}
+NAMED_PAIRS: dict[str, Mismatch] = {}
 
-    `cases` is the length of a fixed list (None: endless). `outside` are ranges of which at least one value of each pair
-    lies outside. `faults` maps the name of a fault to what its parameters become on one channel; without `healthy`, the share of
+
+def _shared(ranges: dict[str, Range]) -> dict[str, Range]:
+    """The ranges; what both channels share has one value."""
+    shared = {*_rig_parameters(), *QUANTITIES, PACE}
+    return {
+        name: each.model_copy(update={"common": each.common or name in shared})
+        for name, each in ranges.items()
+    }
+
+
+Ranges = Annotated[dict[str, Range], AfterValidator(_shared)]
+
+
+class Mismatch(FileTable):
+    """A distribution of pairs, with the keys of `splits.yaml` in files.
+
+    `cases` is the length of a fixed list (None: endless). `outside` names a split: at least one value of each pair lies outside
+    its ranges. `faults` maps the name of a fault to what its parameters become on one channel; without `healthy`, the share of
     pairs that have none, pairs have the faults in turn. `rig` has the quantities by which whole rigs are drawn, or `pace` alone
     (see `rigs`).
     """
 
     name: str
-    ranges: Mapping[str, Range]
-    entropy: int = 0
-    cases: int | None = None
-    outside: Mapping[str, Range] = field(default_factory=dict)
-    faults: Mapping[str, Mapping[str, Range]] = field(default_factory=dict)
     summary: str = ""
-    rig: Mapping[str, Range] = field(default_factory=dict)
-    healthy: float | None = None
+    entropy: Annotated[int, Strict(), Field(ge=0, lt=2**128)] = 0
+    cases: Annotated[int, Strict(), Field(ge=1, lt=2**128)] | None = None
+    outside: Annotated[str, known("split", SPLITS)] | None = None
+    ranges: Annotated[Ranges, Field(alias="parameters")]
+    faults: dict[str, Ranges] = Field(default_factory=dict)
+    healthy: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None
+    rig: Ranges = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Mismatch:
+        parts = {"": self.ranges} | {f"faults.{fault}: ": changed for fault, changed in self.faults.items()}
+        for part, ranges in parts.items():
+            for place, (name, each) in enumerate(ranges.items()):
+                try:
+                    each.check(name, dict(list(ranges.items())[:place]))
+                except InputError as problem:
+                    raise ValueError(f"{part}{name}: {problem}") from None
+        self._check_rig()
+        inside = [(each, self.ranges[name]) for name, each in self._left.items()]
+        if self.outside and all(r.low <= own.low and own.high <= r.high for r, own in inside):
+            raise ValueError(f"outside: no range reaches beyond those of {self.outside!r}")
+        return self
+
+    def _check_rig(self) -> None:
+        """ValueError for quantities of a rig that are unknown, lacking or not above zero."""
+        for name, each in self.rig.items():
+            if name not in QUANTITIES and name != PACE:
+                raise ValueError(f"rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}")
+            if min(each.low) <= 0.0:
+                raise ValueError(f"rig: {name} should be above zero")
+        whole = self.rig.keys() - {PACE}
+        for name in QUANTITIES if whole else ():
+            if name not in self.rig:
+                raise ValueError(f"rig: {name} is missing ({QUANTITIES[name]})")
+        if whole and "Fs" not in self.ranges:
+            raise ValueError("rig: the bristles of the spool need a range of Fs among the parameters")
+
+    @property
+    def _left(self) -> dict[str, Range]:
+        """The ranges outside of which at least one value of each pair lies."""
+        bounds = SPLITS[self.outside].ranges if self.outside else {}
+        return {name: each for name, each in bounds.items() if name in self.ranges}
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -201,11 +252,6 @@ class Mismatch:
         """Effects of the plant that these parameters need."""
         named = {name.partition(".")[0] for name in self.parameters}
         return tuple(name for name in CATALOGUE if name in named)
-
-    @property
-    def random(self) -> bool:
-        """Whether pairs are drawn at all, or are always the same."""
-        return bool(self.faults or self.rig) or any(r.low != r.high for r in self.ranges.values())
 
     def case(self, seed: int, episode: int) -> int:
         """Number of the case that an episode of a seed meets, `seed` modulo the list in the first; -1 if endless."""
@@ -224,23 +270,17 @@ class Mismatch:
             raise InputError(
                 f"mismatch {self.name!r} draws whole rigs in the units of the paper's: take the plant paper_dead_zone"
             )
-        if not self.random:
-            still = np.zeros((count, 2))
-            fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
-            return Pairs(fixed, ("",) * count)
         if cases[0] >= 0:
             streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
         else:
             streams = Streams(Component.PAIR, seeds, episodes, self.entropy)
-        values = self._draw(streams)
-        again = self._inside(values)
+        values, rows = self._draw(streams), np.arange(count if self.outside else 0)
         for _ in range(MAX_DRAWS):
-            if not again.any():
+            rows = self._inside(values, rows)
+            if not rows.size:
                 break
-            rows = np.flatnonzero(again)
             for name, redrawn in self._draw(streams, rows).items():
                 values[name][rows] = redrawn
-            again[rows] = self._inside({name: value[rows] for name, value in values.items()})
         else:
             raise InputError(
                 f"mismatch {self.name!r}: of {MAX_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
@@ -261,14 +301,15 @@ class Mismatch:
         shares = streams.random((len(ranges), 2), rows)
         values: dict[str, Floats] = {}
         for column, (name, each) in enumerate(ranges.items()):
-            values[name] = each.value(_common(name, shares[:, column]), values)
+            values[name] = each.value(shares[:, column], values)
         return values
 
-    def _inside(self, values: Mapping[str, Floats]) -> NDArray[np.bool_]:
-        inside = np.full(len(next(iter(values.values()))), bool(self.outside))
-        for name, bounds in self.outside.items():
-            inside &= ((values[name] >= bounds.low) & (values[name] <= bounds.high)).all(axis=1)
-        return inside
+    def _inside(self, values: Mapping[str, Floats], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of some rows whose values all lie in the ranges that they are to leave."""
+        for name, bounds in self._left.items():
+            drawn = values[name][rows]
+            rows = rows[((drawn >= bounds.low) & (drawn <= bounds.high)).all(axis=1)]
+        return rows
 
     def _with_faults(
         self, values: dict[str, Floats], streams: Streams, cases: Sequence[int], model: PlantModel
@@ -289,7 +330,7 @@ class Mismatch:
             fault, channel = names[number % len(names)], number // len(names) % 2
             faulty: dict[str, Floats] = {}
             for (name, each), share in zip(self.faults[fault].items(), shares[row], strict=False):
-                faulty[name] = each.value(_common(name, share), faulty)
+                faulty[name] = each.value(share, faulty)
                 if sick[row]:
                     changed = each.scaled(name, faulty[name], model)[0, channel]
                     if len(self.rig) > 1 and name in DERIVED:  # the rig has a value of its own
@@ -297,11 +338,6 @@ class Mismatch:
                     values[name][row, channel] = changed
             drawn.append(fault if sick[row] else "")
         return values, tuple(drawn)
-
-
-def _common(name: str, share: Floats) -> Floats:
-    """Shares (n, 2) of a range, of a parameter of the rig (n, 1): both channels have one value."""
-    return share[:, :1] if name in _rig_parameters() or name in QUANTITIES or name == PACE else share
 
 
 def own_values(name: str, model: PlantModel) -> tuple[float, float]:
@@ -378,28 +414,6 @@ def _check_bounds(name: str, pair: tuple[float, float]) -> None:
         raise InputError(f"{min(pair):g} is below zero")
 
 
-def _check_all(ranges: dict[str, Range], where: str) -> None:
-    names = list(ranges)
-    for place, name in enumerate(names):
-        try:
-            ranges[name].check(name, {each: ranges[each] for each in names[:place]})
-        except InputError as problem:
-            raise InputError(f"{where}: {name}: {problem}") from None
-
-
-class _SplitFile(FileTable):
-    """A split: the keys of `splits.yaml`."""
-
-    summary: str = ""
-    entropy: Annotated[int, Strict(), Field(ge=0, lt=2**128)] = 0
-    cases: Annotated[int, Strict(), Field(ge=1, lt=2**128)] | None = None
-    outside: str | None = None
-    parameters: dict[str, Range]
-    faults: dict[str, dict[str, Range]] = Field(default_factory=dict)
-    healthy: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None
-    rig: dict[str, Range] = Field(default_factory=dict)
-
-
 def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
     """A mismatch of the user's: the keys of a split, or parameters alone, and perhaps `base` beside them."""
     own = dict(data)
@@ -414,7 +428,7 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
         inherited = _SHIPPED[base]["parameters"]
         own = {**_SHIPPED[base], **own}
         own["parameters"] = {**inherited, **given} if isinstance(given, Mapping) else given
-    mismatch = _read_split(name, own, where, SPLITS)
+    mismatch = checked(Mismatch, {"name": name, **own}, where)
     parts = {key: mismatch.ranges[key] for key in given if key not in SENSOR_PARAMETERS}
     if unusual := [text for key, each in parts.items() if (text := _unusual(key, each))]:
         warnings.warn(
@@ -424,52 +438,6 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
             stacklevel=3,
         )
     return mismatch
-
-
-def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
-    given = checked(_SplitFile, data, where)
-    ranges = given.parameters
-    _check_all(ranges, where)
-    for fault, changed in given.faults.items():
-        _check_all(changed, f"{where}: faults.{fault}")
-    _check_rig(given.rig, ranges, where)
-    outside: dict[str, Range] = {}
-    if given.outside is not None:
-        if given.outside not in others:
-            hint = suggestion(given.outside, others)
-            raise InputError(f"{where}: outside: unknown split {shown(given.outside)}: {hint}")
-        bounds = others[given.outside].ranges
-        outside = {key: bounds[key] for key in bounds if key in ranges}
-        if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
-            raise InputError(f"{where}: outside: no range reaches beyond those of {given.outside!r}")
-    return Mismatch(
-        name,
-        ranges,
-        given.entropy,
-        given.cases,
-        outside,
-        given.faults,
-        given.summary,
-        given.rig,
-        given.healthy,
-    )
-
-
-def _check_rig(rig: Mapping[str, Range], ranges: Mapping[str, Range], where: str) -> None:
-    """InputError for quantities of a rig that are unknown, lacking or not above zero."""
-    for name, each in rig.items():
-        if name not in QUANTITIES and name != PACE:
-            raise InputError(
-                f"{where}: rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}"
-            )
-        if min(each.low) <= 0.0:
-            raise InputError(f"{where}: rig: {name} should be above zero")
-    whole = rig.keys() - {PACE}
-    for name in QUANTITIES if whole else ():
-        if name not in rig:
-            raise InputError(f"{where}: rig: {name} is missing ({QUANTITIES[name]})")
-    if whole and "Fs" not in ranges:
-        raise InputError(f"{where}: rig: the bristles of the spool need a range of Fs among the parameters")
 
 
 def _unusual(name: str, given: Range) -> str:
@@ -488,16 +456,15 @@ def _rig_parameters() -> frozenset[str]:
     return frozenset(f"{effect.name}.{p.name}" for effect in shared for p in effect.parameters)
 
 
-def _read_package() -> tuple[dict[str, Any], dict[str, Mismatch], dict[str, Mismatch]]:
+def _read_package() -> dict[str, Any]:
+    """The content of `splits.yaml` by name, from which `SPLITS` and `NAMED_PAIRS` are filled."""
     text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
     data = parse_yaml(text, "splits.yaml")
-    shipped = data["splits"] | {name: {"parameters": what} for name, what in data["pairs"].items()}
-    read: dict[str, Mismatch] = {}
-    for name, what in shipped.items():
-        read[name] = _read_split(name, what, f"splits.yaml: {name}", read)
-    splits = {name: read[name] for name in data["splits"]}
-    return shipped, splits, {name: read[name] for name in data["pairs"]}
+    pairs = {name: {"parameters": what} for name, what in data["pairs"].items()}
+    for read, tables in ((SPLITS, data["splits"]), (NAMED_PAIRS, pairs)):
+        for name, what in tables.items():
+            read[name] = checked(Mismatch, {"name": name, **what}, f"splits.yaml: {name}")
+    return data["splits"] | pairs
 
 
-#: The content of `splits.yaml` by name, and its named splits and pairs.
-_SHIPPED, SPLITS, NAMED_PAIRS = _read_package()
+_SHIPPED = _read_package()

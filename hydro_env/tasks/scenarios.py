@@ -113,11 +113,10 @@ def _grid(steps: int, period: float) -> Floats:
     return time
 
 
-def _held(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """Values (m, ...) in force from the instants `changes` (m,) on, zero before the first: (len(time), ...)."""
-    padded = np.zeros((values.shape[0] + 1, *values.shape[1:]))
-    padded[1:] = values
-    return padded[changes.searchsorted(time, side="right")]
+def _held(time: Floats, table: Floats) -> Floats:
+    """Values (len(time), n) of a step table (m, 1 + n), zero before its first row."""
+    values = np.pad(table[:, 1:], ((1, 0), (0, 0)))
+    return values[table[:, 0].searchsorted(time, side="right")]
 
 
 def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
@@ -127,7 +126,7 @@ def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load:
 
 
 def _table_course(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
-    return _held(time, setpoint[:, 0], setpoint[:, 1]), _held(time, load[:, 0], load[:, 1:])
+    return _held(time, setpoint)[:, 0], _held(time, load)
 
 
 def _share(rows: Sequence[tuple[float, float, float]]) -> Floats:
@@ -147,7 +146,7 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 
 def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """`_held` of n profiles: changes, in their order, and values (n, m) give (n, len(time))."""
+    """Values (n, m) in force from the instants `changes` (n, m) on, in their order, zero before: (n, len(time))."""
     count, most = values.shape
     edges, padded = np.zeros((count, most + 2), np.int64), np.zeros((count, most + 1))
     edges[:, 1:-1], edges[:, -1] = time.searchsorted(changes), time.size

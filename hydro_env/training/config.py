@@ -15,7 +15,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,9 +33,9 @@ from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
 
-__all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config", "with_changes"]
+__all__ = ["ALGORITHMS", "ENV_ID", "POLICY", "Config", "Training", "read_config", "with_changes"]
 
-ENV_ID = "HydraulicSync-v0"
+ENV_ID, POLICY = "HydraulicSync-v0", "MlpPolicy"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 # Arguments of the algorithms that are set elsewhere or have no place in a file.
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
@@ -77,10 +77,7 @@ class Training(FileTable):
     @field_validator("interface")
     @classmethod
     def _is_one(cls, table: dict[str, Any]) -> dict[str, Any]:
-        try:
-            make_interface(table)
-        except TypeError as problem:
-            raise ValueError(str(problem)) from None
+        make_interface(table)
         return table
 
 
@@ -174,7 +171,7 @@ class _Environment(FileTable):
 
     n_envs: Count = 1
     n_timesteps: Count
-    policy: str = "MlpPolicy"
+    policy: str = POLICY
     env_kwargs: dict[str, Any] = Field(default_factory=dict)
     policy_kwargs: Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)] = Field(
         default_factory=dict
@@ -183,8 +180,8 @@ class _Environment(FileTable):
     @field_validator("policy")
     @classmethod
     def _can_be_exported(cls, policy: str) -> str:
-        if policy != "MlpPolicy":
-            raise ValueError(f"{policy!r} cannot be exported; only 'MlpPolicy' can")
+        if policy != POLICY:
+            raise ValueError(f"{policy!r} cannot be exported; only {POLICY!r} can")
         return policy
 
 
@@ -200,12 +197,8 @@ def _with_arguments(algorithm: str) -> type[_Environment]:
 
 # --- files ------------------------------------------------------------------------------------------------------------
 class _File(FileTable):
+    environment: dict[str, Any] = Field(alias=ENV_ID)
     training: Training
-    environment: dict[str, Any] = Field(alias="HydraulicSync-v0")
-
-    @classmethod
-    def known_keys(cls) -> Collection[str]:
-        return (ENV_ID, "training")
 
 
 @dataclass(frozen=True)
@@ -216,7 +209,6 @@ class Config:
     text: str
     num_envs: int
     num_steps: int
-    policy: str
     env_kwargs: dict[str, Any]
     hyper: dict[str, Any]
     training: Training
@@ -249,13 +241,5 @@ def _config(path: Path, text: str) -> Config:
     table = checked(_with_arguments(data.training.algorithm), data.environment, where)
     hyper = {key: getattr(table, key) for key in data.environment if key not in _Environment.model_fields}
     hyper["policy_kwargs"] = table.policy_kwargs
-    return Config(
-        path,
-        text,
-        table.n_envs,
-        table.n_timesteps,
-        table.policy,
-        dict(table.env_kwargs),
-        hyper,
-        data.training,
-    )
+    env_kwargs = dict(table.env_kwargs)
+    return Config(path, text, table.n_envs, table.n_timesteps, env_kwargs, hyper, data.training)

@@ -8,12 +8,13 @@ same machine a run gives the same policy, whether it was interrupted or not.
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecMonitor
 from tqdm import tqdm
 
 from hydro_env.controllers.learned.policy_interface import make_interface
@@ -33,13 +35,30 @@ from hydro_env.errors import InputError
 from hydro_env.files import naming, write_bytes
 from hydro_env.sb3 import HydraulicSyncVecEnv
 from hydro_env.training import checkpoint
-from hydro_env.training.config import Config
+from hydro_env.training.config import POLICY, Config
 from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import export_policy
 from hydro_env.training.lock import alone_in
-from hydro_env.training.policy_env import TrainingRigs
 
 __all__ = ["make_model", "train"]
+
+SEED_SPACING = 2**40
+"""Between the first rigs of the runs of two successive seeds: more than the rigs of any run."""
+
+
+class TrainingRigs(VecMonitor):
+    """The rigs that a policy is trained on: reports the returns of episodes, and can be pickled with a checkpoint."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the table of class members that the base class keeps, which cannot be pickled."""
+        return {key: value for key, value in self.__dict__.items() if key != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds the rigs so that runs of different seeds share no episode, however many rigs they have."""
+        return list(self.venv.seed(None if seed is None else seed * SEED_SPACING))
 
 
 class Run(BaseCallback):
@@ -113,9 +132,8 @@ class Run(BaseCallback):
             name: evaluate(candidate, training.evaluate_pairs, self.config.env_kwargs, name)
             for name in training.evaluate_scenarios
         }
-        difference = np.mean([scores["max_speed_difference_rpm"] for scores in each.values()])
-        tracking = np.mean([scores["tracking_mae_rpm"] for scores in each.values()])
-        tail = np.mean([scores["max_speed_difference_rpm_p95"] for scores in each.values()])
+        names = "max_speed_difference_rpm", "tracking_mae_rpm", "max_speed_difference_rpm_p95"
+        difference, tracking, tail = (np.mean([scores[name] for scores in each.values()]) for name in names)
         score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
         first, times = training.evaluate_scenarios[0], self.times()
         scores = each[first]
@@ -173,7 +191,7 @@ def make_model(config: Config) -> BaseAlgorithm:
     rigs.set_options(staggered(rigs))
     env, seed = TrainingRigs(rigs), config.training.seed
     try:
-        return config.algorithm(config.policy, env, seed=seed, device="cpu", **config.hyper)
+        return config.algorithm(POLICY, env, seed=seed, device="cpu", **config.hyper)
     except Exception as problem:  # whatever the algorithm does not take
         said = " ".join(str(problem).split()) or type(problem).__name__
         raise InputError(f"{config.path}: {said}") from None

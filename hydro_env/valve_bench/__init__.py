@@ -5,15 +5,14 @@
     read.py      a measured curve from a file
     figures.py   dead zone, hysteresis, gain, linearity, symmetry, maximum flow, null, threshold
     rates.py     several sweep rates: is the loop lag or hysteresis?
-    alike.py     how far apart two valves are, and which pair is nearest
-    bench.py     several valves, modelled or measured, with their sweeps and figures
+    bench.py     several valves, modelled or measured, with their sweeps and figures; how far apart two are
     picture.py   flow over signal of all valves
     page.py      the page of a valve test
 
 The bench needs the plant and nothing above it, so that a controller may use what it identifies.
 """
 
-from hydro_env.valve_bench.alike import distance, most_alike
+from hydro_env.valve_bench.bench import distance, most_alike
 from hydro_env.valve_bench.curve import Curve, Loop, loop_of
 from hydro_env.valve_bench.figures import Figures, Side, identify, sides_of
 from hydro_env.valve_bench.rates import RateCheck, check_rates

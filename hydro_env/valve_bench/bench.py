@@ -1,7 +1,13 @@
-"""Valves on the bench: presets and model files, of which every different channel is a valve, and files of measured curves."""
+"""Valves on the bench: presets and model files, of which every different channel is a valve, and files of measured curves.
+
+The distance of two valves is the root of the mean squared difference of flow over both branches and the signals, from minus to
+plus the rated signal, that both were driven over, in percent of the largest flow of all. It asks what the same signal does on
+either valve, which is what a synchronising drive meets.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os.path import commonprefix
@@ -14,14 +20,13 @@ from tqdm import tqdm
 from hydro_env.errors import InputError
 from hydro_env.plant import PlantModel, load_model, preset_names
 from hydro_env.units import LPM
-from hydro_env.valve_bench.alike import most_alike
 from hydro_env.valve_bench.curve import FLOW, Curve, loop_of
 from hydro_env.valve_bench.figures import Figures, identify
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import own_channels, record_rates
 
-__all__ = ["Sweeps", "Tested", "Valve", "bench", "branches_csv", "pairs_of"]
+__all__ = ["Sweeps", "Tested", "Valve", "bench", "branches_csv", "distance", "most_alike", "pairs_of"]
 
 
 @dataclass(frozen=True)
@@ -77,20 +82,18 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
     """
     how = how or Sweeps()
     if not valves:
-        raise InputError(
-            f"name a valve: a preset ({', '.join(preset_names())}), a model file or a measured curve"
-        )
+        known = ", ".join(preset_names())
+        raise InputError(f"name a valve: a preset ({known}), a model file or a measured curve")
     files = [text for text in valves if not _is_model(text)]
     models = [(text, valve) for text in valves if text not in files for valve in _valves_of(text)]
     if len(how.periods) not in (0, 1, len(files)):
-        raise InputError(
-            f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files: one for all, or one each"
-        )
+        told = f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files"
+        raise InputError(f"{told}: one for all, or one each")
     tested, curves = [], []
     with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
         for text, valve in models:
-            named = {"signal": how.signal, "name": valve.name}
-            sweeps = record_rates(valve.model, valve.channel, how.seconds, **named)
+            how_swept = {"signal": how.signal, "name": valve.name}
+            sweeps = record_rates(valve.model, valve.channel, how.seconds, **how_swept)
             tested.append(_tested(text, sweeps, valve))
             bar.update()
         for n, text in enumerate(files):
@@ -141,13 +144,12 @@ def _valves_of(text: str) -> list[Valve]:
 
 def _tested(source: str, sweeps: list[Curve], model: Valve | None = None) -> Tested:
     """The figures come from the slowest sweep, which is the steadiest."""
-    slowest = max(sweeps, key=lambda curve: 0.0 if curve.time is None else float(np.ptp(curve.time)))
+    slowest = max(sweeps, key=lambda curve: curve.seconds)
+    why = "the curve has branches of one direction only: no loop"
+    check = RateCheck("undecided", why, rated=slowest.rated)
     try:
         figures = identify(slowest)
-        if figures.hysteresis_percent is None:
-            why = "the curve has branches of one direction only: no loop"
-            check = RateCheck("undecided", why, rated=slowest.rated)
-        else:
+        if figures.hysteresis_percent is not None:
             check = check_rates(sweeps)
     except InputError as problem:
         raise InputError(f"{source}: {str(problem).removeprefix(f'{slowest.name}: ')}") from None
@@ -171,12 +173,40 @@ def _named_apart(tested: Sequence[Tested]) -> list[Tested]:
 def pairs_of(tested: Sequence[Tested]) -> list[dict[str, Any]]:
     """All pairs of valves with flow curves by name and distance, the most alike first."""
     curves = [each.curve for each in tested if each.figures.kind == FLOW]
-    if len(curves) < 2:
-        return []
     return [
         {"valves": [curves[i].name, curves[j].name], "distance_percent": apart}
         for apart, i, j in most_alike(curves)
     ]
+
+
+def most_alike(curves: Sequence[Curve]) -> list[tuple[float, int, int]]:
+    """All pairs, the most alike first: (distance in percent of the largest flow of all, first, second)."""
+    full = max((float(np.abs(curve.flow).max()) for curve in curves), default=0.0)
+    pairs = itertools.combinations(range(len(curves)), 2)
+    return sorted((distance(curves[i], curves[j], full), i, j) for i, j in pairs)
+
+
+def distance(first: Curve, second: Curve, full_flow: float | None = None) -> float:
+    """Distance of two valves in percent of `full_flow` (m3/s; their own largest flow if None). A missing branch is as the other.
+
+    InputError if one of them is no flow curve, or they share no range of the signal.
+    """
+    both = [(curve, loop_of(curve)) for curve in (first, second)]
+    for curve, loop in both:
+        if loop.kind != FLOW:
+            raise curve.refused("a leakage curve; only flow curves can be compared")
+    low = max(loop.low / curve.rated for curve, loop in both)
+    high = min(loop.high / curve.rated for curve, loop in both)
+    if not high - low > 0.1:
+        told = f"{first.name} and {second.name} were not driven over the same signals"
+        raise InputError(f"{told}: compare like with like")
+    share = np.linspace(low, high, 801)
+    one, other = (
+        np.array([branch.flow_at(share * curve.rated) for branch in (loop.branches[0], loop.branches[-1])])
+        for curve, loop in both
+    )
+    full = full_flow or max(float(np.abs(flow).max()) for flow in (one, other))
+    return 100.0 * float(np.sqrt(np.mean((one - other) ** 2))) / full
 
 
 def branches_csv(tested: Sequence[Tested]) -> str:
@@ -187,7 +217,6 @@ def branches_csv(tested: Sequence[Tested]) -> str:
         name = '"' + each.curve.name.replace('"', "'") + '"' if "," in each.curve.name else each.curve.name
         for word, branch in (("rising", loop.rising), ("falling", loop.falling)):
             if branch is not None:
-                share = 100.0 * branch.signal / each.curve.rated
-                cells = zip(share, branch.flow / LPM, strict=True)
+                cells = zip(each.curve.percent(branch.signal), branch.flow / LPM, strict=True)
                 lines += [f"{name},{word},{x:.5g},{q:.6g}" for x, q in cells]
     return "\n".join(lines) + "\n"

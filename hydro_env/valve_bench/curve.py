@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,19 @@ class Curve:
     time: Floats | None = None
     travel_per_signal: float | None = None
     findings: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """How long it took, s; 0 where that is not known."""
+        return 0.0 if self.time is None else float(np.ptp(self.time))
+
+    def percent(self, signal: Any) -> Any:
+        """A signal, or an array of them, in percent of the rated one."""
+        return 100.0 * signal / self.rated
+
+    def refused(self, problem: str) -> InputError:
+        """The error for a curve that cannot be used."""
+        return InputError(f"{self.name}: {problem}")
 
 
 def resolution(values: Floats) -> float:
@@ -105,11 +119,10 @@ class Monotone:
 class Loop:
     """The rising and the falling branch of a curve, averaged; one of them is None if it was not recorded.
 
-    `polarity` is -1 if the flow falls while the signal rises; the branches have it turned already.
+    Where the flow falls while the signal rises, the branches have its sign turned.
     """
 
     kind: str
-    polarity: int
     rising: Monotone | None
     falling: Monotone | None
     low: float
@@ -137,9 +150,10 @@ def branches_of(curve: Curve) -> list[Branch]:
     signal = curve.signal
     span = float(np.ptp(signal)) if len(signal) else 0.0
     if len(signal) < MIN_SAMPLES or span <= 0.0:
-        raise InputError(
-            f"{curve.name}: {len(signal)} samples with a signal from {np.min(signal, initial=np.inf):g} to "
-            f"{np.max(signal, initial=-np.inf):g}; a curve needs at least {MIN_SAMPLES} samples over a range of the signal"
+        span_of = f"{np.min(signal, initial=np.inf):g} to {np.max(signal, initial=-np.inf):g}"
+        told = f"{len(signal)} samples with a signal from {span_of}"
+        raise curve.refused(
+            f"{told}; a curve needs at least {MIN_SAMPLES} samples over a range of the signal"
         )
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
@@ -170,10 +184,8 @@ def branches_of(curve: Curve) -> list[Branch]:
         if stop - start >= MIN_SAMPLES and abs(step) > TURN * span:
             found.append(Branch(1 if step > 0.0 else -1, start, stop))
     if not found:
-        raise InputError(
-            f"{curve.name}: no branch with {MIN_SAMPLES} samples between two turns of the signal; "
-            "record a slow triangle with more samples"
-        )
+        told = f"no branch with {MIN_SAMPLES} samples between two turns of the signal"
+        raise curve.refused(f"{told}; record a slow triangle with more samples")
     return found
 
 
@@ -210,9 +222,7 @@ def loop_of(curve: Curve, rows: list[Branch] | None = None) -> Loop:
     notes: list[str] = []
     kind, polarity = _kind(curve, found)
     if polarity < 0:
-        notes.append(
-            f"{curve.name}: the flow falls while the signal rises; its sign is turned for the figures"
-        )
+        notes.append("the flow falls while the signal rises; its sign is turned for the figures")
     sides: dict[str, Monotone | None] = {"rising": None, "falling": None}
     for direction, word, other in ((1, "rising", "falling"), (-1, "falling", "rising")):
         own = [branch for branch in found if branch.direction == direction]
@@ -220,14 +230,12 @@ def loop_of(curve: Curve, rows: list[Branch] | None = None) -> Loop:
             index = _rows(own)
             sides[word] = _average(curve.signal[index], polarity * curve.flow[index], low, high)
         else:
-            notes.append(f"{curve.name}: only {other} branches, no {word} one; hysteresis cannot be measured")
+            notes.append(f"only {other} branches, no {word} one; hysteresis cannot be measured")
     gap = abs(curve.signal[0] - curve.signal[-1]) / (high - low)
     if None not in sides.values() and gap > 0.02 and len(found) < 3:
-        notes.append(
-            f"{curve.name}: the sweep does not close, it ends {100.0 * gap:.0f} % of its range from where it began; "
-            "only the part that both branches cover tells the hysteresis"
-        )
-    return Loop(kind, polarity, **sides, low=low, high=high, findings=tuple(notes))
+        told = f"the sweep does not close, it ends {100.0 * gap:.0f} % of its range from where it began"
+        notes.append(f"{told}; only the part that both branches cover tells the hysteresis")
+    return Loop(kind, **sides, low=low, high=high, findings=tuple(notes))
 
 
 def _rows(branches: list[Branch]) -> NDArray[np.intp]:
@@ -240,22 +248,19 @@ def _kind(curve: Curve, found: list[Branch]) -> tuple[str, int]:
     index = index[:: max(1, len(index) // 5000)]
     signal, flow = curve.signal[index], curve.flow[index]
     if float(np.ptp(flow)) == 0.0:
-        raise InputError(
-            f"{curve.name}: the flow is {flow[0] / LPM:g} l/min all the time; name the column of the flow"
-        )
+        told = f"the flow is {flow[0] / LPM:g} l/min all the time"
+        raise curve.refused(f"{told}; name the column of the flow")
     rank = float(spearmanr(signal, flow).statistic)
     if abs(rank) > 0.8:
         return FLOW, 1 if rank > 0.0 else -1
     if len(flow) >= 21 and np.all(flow >= -0.05 * flow.max()):
         # A peak inside, low at both ends: internal leakage of a valve that passes its null.
-        order = np.argsort(signal)
-        parts = np.array_split(flow[order], 7)
+        parts = np.array_split(flow[np.argsort(signal)], 7)
         levels = np.array([np.median(part) for part in parts])
         rise = float(levels[2:5].max() - levels.min())
         ends = max(levels[0], levels[-1]) - levels.min()
         if ends < 0.6 * rise and rise > 0.5 * float(np.median([np.std(part) for part in parts])):
             return LEAKAGE, 1
-    raise InputError(
-        f"{curve.name}: the flow does not follow the signal (rank correlation {rank:.2f}) and is no leakage with a "
-        "peak near the null; name the columns of signal and flow"
-    )
+    told = f"the flow does not follow the signal (rank correlation {rank:.2f})"
+    hint = "name the columns of signal and flow"
+    raise curve.refused(f"{told} and is no leakage with a peak near the null; {hint}")

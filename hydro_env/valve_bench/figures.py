@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
 from hydro_env.units import LPM
 from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, Monotone, loop_of, resolution
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of, peak_of
@@ -36,6 +35,8 @@ __all__ = ["Figures", "Side", "identify", "sides_of", "widths"]
 
 #: Shares of the largest flow between which each figure is read.
 EDGE, LINE, LINEAR, WIDTH = (0.03, 0.5), (0.1, 0.8), (0.05, 0.95), (0.02, 0.98)
+#: The directions of the flow.
+WORDS = {1: "positive", -1: "negative"}
 #: Share of the flow that counts as having begun.
 BEGUN = 0.01
 #: Hysteresis is the mean over a window of this share of the flow.
@@ -87,11 +88,16 @@ class Figures:
 
     def as_json(self) -> dict[str, Any]:
         """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
-        data = {
+        leakage: dict[str, Any] = {}
+        if self.leakage is not None:
+            leakage = {f"{name}_lpm": self.leakage[name] / LPM for name in ("maximum", "least")}
+            leakage["null_percent"] = self._percent(self.leakage["null"])
+        return {
             "name": self.name,
             "kind": self.kind,
             "rated_signal": {"value": self.rated, "unit": self.signal_unit},
-            **{side: self._side(getattr(self, side)) for side in ("positive", "negative")},
+            "positive": self._side(self.positive),
+            "negative": self._side(self.negative),
             "hysteresis": {
                 "percent": self.hysteresis_percent,
                 "uncertainty_percent": self.hysteresis_uncertainty_percent,
@@ -106,14 +112,8 @@ class Figures:
             "threshold_percent": self.threshold_percent,
             "noise_lpm": self.noise / LPM,
             "findings": list(self.findings),
+            **({"leakage": leakage} if leakage else {}),
         }
-        if self.leakage is not None:
-            data["leakage"] = {
-                "maximum_lpm": self.leakage["maximum"] / LPM,
-                "least_lpm": self.leakage["least"] / LPM,
-                "null_percent": self._percent(self.leakage["null"]),
-            }
-        return data
 
     def _percent(self, signal: float | None) -> float | None:
         return None if signal is None else 100.0 * signal / self.rated
@@ -121,34 +121,31 @@ class Figures:
     def _side(self, side: Side | None) -> dict[str, Any] | None:
         if side is None:
             return None
-        data = asdict(side)
-        for name in ("gain", "maximum_flow"):
-            del data[name]
-        travel = self.travel_per_signal
+        data, travel = asdict(side), self.travel_per_signal
+        gain, most = data.pop("gain"), data.pop("maximum_flow")
         return {
             **data,
             "dead_zone_percent": self._percent(side.dead_zone),
             "dead_zone_travel_m": None if travel is None else side.dead_zone * travel,
-            "gain_lpm_per_unit": side.gain / LPM,
-            "gain_m2_per_s": None if travel is None else side.gain / travel,
-            "maximum_flow_lpm": side.maximum_flow / LPM,
+            "gain_lpm_per_unit": gain / LPM,
+            "gain_m2_per_s": None if travel is None else gain / travel,
+            "maximum_flow_lpm": most / LPM,
         }
 
 
 def identify(curve: Curve) -> Figures:
     """The figures of one sweep. InputError if the curve has too little in it."""
     loop = loop_of(curve)
-    notes = [*curve.findings, *loop.findings]
+    notes = list(loop.findings)
     steps = resolution(curve.signal), resolution(curve.flow)
-    if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * float(np.abs(curve.flow).max()):
-        notes.append(
-            f"{curve.name}: recorded in steps of {100.0 * steps[0] / curve.rated:.2g} % of the rated signal and "
-            f"{100.0 * steps[1] / float(np.abs(curve.flow).max()):.2g} % of the largest flow, which limits every figure"
-        )
+    full = float(np.abs(curve.flow).max())
+    if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * full:
+        shares = f"{curve.percent(steps[0]):.2g} % of the rated signal and {100.0 * steps[1] / full:.2g} % of the largest flow"
+        notes.append(f"recorded in steps of {shares}, which limits every figure")
     found = _flow(curve, loop, steps, notes) if loop.kind == FLOW else _leakage(curve, loop, notes)
-    return Figures(
-        curve.name, loop.kind, curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal, tuple(notes), **found
-    )  # fmt: skip
+    findings = (*curve.findings, *(f"{curve.name}: {each}" for each in notes))
+    valve = curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal
+    return Figures(curve.name, loop.kind, *valve, findings, **found)
 
 
 def _flow(curve: Curve, loop: Loop, steps: tuple[float, float], notes: list[str]) -> dict[str, Any]:
@@ -173,21 +170,17 @@ def sides_of(
     flow were recorded; `notes`: what was noticed is added. InputError if neither direction flows, or if the curve cannot be
     read."""
     if loop.kind != FLOW:
-        return {1: None, -1: None}
+        return dict.fromkeys(WORDS)
     notes = [] if notes is None else notes
-    top = {sign: max(branch.largest(sign) for branch in loop.branches) for sign in (1, -1)}
-    whole = max(top.values())
-    sides: dict[int, Side | None] = {}
-    for sign, word in ((1, "positive"), (-1, "negative")):
-        if top[sign] < max(0.05 * whole, 6.0 * loop.bin_noise):
-            notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
-            sides[sign] = None
+    top = {sign: max(branch.largest(sign) for branch in loop.branches) for sign in WORDS}
+    sides: dict[int, Side | None] = dict.fromkeys(WORDS)
+    for sign, word in WORDS.items():
+        if top[sign] < max(0.05 * max(top.values()), 6.0 * loop.bin_noise):
+            notes.append(f"no {word} flow in the curve, its figures are left out")
         else:
             sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
-    if sides[1] is None and sides[-1] is None:
-        raise InputError(
-            f"{curve.name}: the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min"
-        )
+    if not any(sides.values()):
+        raise curve.refused(f"the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min")
     return sides
 
 
@@ -203,7 +196,7 @@ def _middle(loop: Loop, levels: Floats) -> Floats:
 def _side(
     curve: Curve, loop: Loop, sign: int, top: float, steps: tuple[float, float], notes: list[str]
 ) -> Side:
-    word = "positive" if sign > 0 else "negative"
+    word = WORDS[sign]
     # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
     reach = np.linspace(*EDGE, 120)
     levels = np.linspace(0.01, 0.99, 197)
@@ -212,16 +205,13 @@ def _side(
     middle = sign * _middle(loop, sign * top * levels)
     use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
     if np.count_nonzero(use) < 10:
-        raise InputError(
-            f"{curve.name}: the branches share too little of the {word} flow; sweep both over the same range"
-        )
+        told = f"the branches share too little of the {word} flow"
+        raise curve.refused(f"{told}; sweep both over the same range")
     if not np.ptp(middle[use]) > 1e-6 * curve.rated:
-        raise InputError(
-            f"{curve.name}: the {word} flow jumps at one signal; record samples between, more slowly"
-        )
+        raise curve.refused(f"the {word} flow jumps at one signal; record samples between, more slowly")
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
     if not slope > 0.0:
-        raise InputError(f"{curve.name}: the {word} flow does not grow with the signal; is a column wrong?")
+        raise curve.refused(f"the {word} flow does not grow with the signal; is a column wrong?")
     straight = start + slope * levels * top
     between = (levels >= LINEAR[0]) & (levels <= LINEAR[1]) & inside
     off = float(np.max(np.abs(middle - straight)[between]))
@@ -239,14 +229,10 @@ def _side(
     # A straight curve reaches 99 % of its flow one hundredth of its length before the end.
     flat = end - full > 0.03 * end + (0.01 + slack) * (end - float(np.mean(edges)))
     if flat:
-        notes.append(
-            f"{curve.name}: the {word} flow is saturated from {100.0 * full / curve.rated:.0f} % of the rated signal on"
-        )
+        notes.append(f"the {word} flow is saturated from {curve.percent(full):.0f} % of the rated signal on")
     if end < 0.97 * curve.rated:
-        notes.append(
-            f"{curve.name}: the {word} side was driven to {100.0 * end / curve.rated:.0f} % of the rated signal only; "
-            "its maximum flow is that of this signal"
-        )
+        told = f"the {word} side was driven to {curve.percent(end):.0f} % of the rated signal only"
+        notes.append(f"{told}; its maximum flow is that of this signal")
     return Side(
         dead_zone=float(np.mean(edges)),
         dead_zone_uncertainty=float(np.max(spreads)) + 0.5 * (steps[0] + steps[1] * slope),
@@ -281,10 +267,8 @@ def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float
         # A parabola where the control edge is curved; its lower root, unless that lies nowhere near.
         a, b, c = np.polyfit(x, q, 2, w=weight)
         under = b * b - 4.0 * a * c
-        bent = (
-            -2.0 * c / (b + np.sqrt(under)) if under >= 0.0 and b + np.sqrt(max(under, 0.0)) > 0.0 else np.nan
-        )
-        if np.isfinite(bent) and -span <= bent <= span:
+        divisor = b + np.sqrt(max(under, 0.0))
+        if under >= 0.0 and divisor > 0.0 and -span <= (bent := -2.0 * c / divisor) <= span:
             return float(ends[0] + bent), float(4.0 * noise)
     return float(root), float(2.0 * noise)
 
@@ -324,11 +308,13 @@ def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict
     around = np.abs(curve.signal - where) < 0.1 * curve.rated
     steepest = max(side.gain for side in sides.values() if side)
     spread += 0.5 * (resolution(curve.signal[around]) + resolution(curve.flow[around]) / steepest)
-    shares = {"hysteresis": abs(best), "hysteresis_uncertainty": spread}
+    found = {
+        "hysteresis_percent": curve.percent(abs(best)),
+        "hysteresis_uncertainty_percent": curve.percent(spread),
+    }
     if means:
-        shares["mean_loop"] = float(np.mean(means))
-    percent = {f"{name}_percent": 100.0 * value / curve.rated for name, value in shares.items()}
-    return percent | {"widest_at": where}
+        found["mean_loop_percent"] = curve.percent(float(np.mean(means)))
+    return found | {"widest_at": where}
 
 
 def _threshold(
@@ -351,18 +337,14 @@ def _threshold(
         gone = left - sign * float(leaving.signal_at(sign * (full - step)))
         found.append(max(0.0, gone - step / side.gain))
     if not found:
-        notes.append(
-            f"{curve.name}: the threshold cannot be read off this sweep (saturated, noisy or coarse turns)"
-        )
+        notes.append("the threshold cannot be read off this sweep (saturated, noisy or coarse turns)")
         return None
     return 100.0 * float(np.mean(found)) / curve.rated
 
 
 def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> dict[str, Any]:
     """Figures of an internal leakage curve, by their names: its peak, its null, and the loop of its flanks."""
-    notes.append(
-        f"{curve.name}: the flow peaks near the null: read as internal leakage, not as flow over signal"
-    )
+    notes.append("the flow peaks near the null: read as internal leakage, not as flow over signal")
     flanks = flanks_of(loop)
     null = float(np.mean([peak_of(*flank) for flank in flanks.values()]))
     found: dict[str, Any] = {"null": null}
@@ -370,13 +352,8 @@ def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> dict[str, Any]:
         rising, falling = flank_signals(*flanks[1]), flank_signals(*flanks[-1])
         wide = (rising - falling).ravel()
         n = int(np.argmax(np.abs(wide)))
-        found["hysteresis_percent"] = 100.0 * float(abs(wide[n])) / curve.rated
-        found["mean_loop_percent"] = 100.0 * float(np.mean(wide)) / curve.rated
+        found["hysteresis_percent"] = curve.percent(float(abs(wide[n])))
+        found["mean_loop_percent"] = curve.percent(float(np.mean(wide)))
         found["widest_at"] = float((rising + falling).ravel()[n] / 2.0)
-    flows = [flow for _, flow in flanks.values()]
-    found["leakage"] = {
-        "maximum": float(np.mean([flow.max() for flow in flows])),
-        "least": float(np.mean([flow.min() for flow in flows])),
-        "null": null,
-    }
-    return found
+    most, least = (float(np.mean([of(flow) for _, flow in flanks.values()])) for of in (np.max, np.min))
+    return found | {"leakage": {"maximum": most, "least": least, "null": null}}

@@ -20,9 +20,8 @@ NOTHING = "–"
 def page(data: Mapping[str, Any], curves: Any, rates: Any) -> str:
     """The HTML page. `data` is the content of valve_test.json, `curves` and `rates` the pictures, as `pages.svg` makes them, or
     None."""
-    valves = data["valves"]
-    checks = [(valve["name"], valve["rate_check"]) for valve in valves]
-    driven = data["synchronisation"]["pairs"] if data["synchronisation"] else []
+    valves, both = data["valves"], " and ".join
+    findings = [each for valve in valves for each in (*valve["findings"], *valve["rate_check"]["findings"])]
     return render(
         files(__package__).joinpath("valve_test.html"),
         title=f"Valve test: {', '.join(valve['name'] for valve in valves)}",
@@ -32,14 +31,12 @@ def page(data: Mapping[str, Any], curves: Any, rates: Any) -> str:
         sides=_sides(valves),
         loops=_loops(valves),
         leakage=_leakage(valves),
-        checks=[(name, check["verdict"], check["reason"]) for name, check in checks],
-        findings=[each for valve in valves for each in (*valve["findings"], *valve["rate_check"]["findings"])]
-        + data["findings"],
-        pairs=[(" and ".join(pair["valves"]), f"{pair['distance_percent']:.1f}") for pair in data["pairs"]],
+        checks=[(v["name"], v["rate_check"]["verdict"], v["rate_check"]["reason"]) for v in valves],
+        findings=findings + data["findings"],
+        pairs=[(both(pair["valves"]), f"{pair['distance_percent']:.1f}") for pair in data["pairs"]],
         driven=[
-            (row["controller"], " and ".join(row["valves"]), f"{row['max_speed_difference_rpm']:.1f}",
-             f"{row['tracking_mae_rpm']:.1f}")
-            for row in driven
+            (row["controller"], both(row["valves"]), f"{row['max_speed_difference_rpm']:.1f}", f"{row['tracking_mae_rpm']:.1f}")
+            for row in (data["synchronisation"] or {"pairs": ()})["pairs"]
         ],
     )  # fmt: skip
 
@@ -50,10 +47,11 @@ def gain_of(valves: Sequence[Valve]) -> tuple[str, Callable[[Valve, Mapping[str,
     units = {valve["rated_signal"]["unit"] for valve in valves}
     if len(units) == 1:
         return f"l/min per {units.pop()}", lambda valve, side: side["gain_lpm_per_unit"]
-    return (
-        "l/min per %",
-        lambda valve, side: side["gain_lpm_per_unit"] * valve["rated_signal"]["value"] / 100.0,
-    )
+
+    def per_percent(valve: Valve, side: Mapping[str, Any]) -> float:
+        return float(side["gain_lpm_per_unit"] * valve["rated_signal"]["value"] / 100.0)
+
+    return "l/min per %", per_percent
 
 
 def _percent(value: float | None) -> str:
@@ -75,14 +73,14 @@ def _sides(valves: Sequence[Valve]) -> tuple[list[str], list[list[str]]]:
     rows = []
     for valve, direction in ((v, d) for v in valves for d in ("positive", "negative") if v[d] is not None):
         side, rated = valve[direction], valve["rated_signal"]["value"]
-        at = {
-            key: side[key] and 100.0 * side[key] / rated for key in ("opens_at", "closes_at", "saturates_at")
-        }
+        begins, ends, flat = (
+            _percent(side[at] and 100.0 * side[at] / rated)
+            for at in ("opens_at", "closes_at", "saturates_at")
+        )
         rows.append([
             valve["name"], direction, _percent(side["dead_zone_percent"]),
-            _spread(100.0 * side["dead_zone_uncertainty"] / rated), _percent(at["opens_at"]), _percent(at["closes_at"]),
-            f"{gain(valve, side):#.4g}", _percent(side["linearity_percent"]), _percent(side["maximum_flow_lpm"]),
-            _percent(at["saturates_at"]),
+            _spread(100.0 * side["dead_zone_uncertainty"] / rated), begins, ends, f"{gain(valve, side):#.4g}",
+            _percent(side["linearity_percent"]), _percent(side["maximum_flow_lpm"]), flat,
         ])  # fmt: skip
     return heads, rows
 
@@ -91,16 +89,16 @@ def _loops(valves: Sequence[Valve]) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of the table with a row for each valve."""
     heads = ["rated signal", "unit", "hysteresis, %", "hysteresis ±, %", "widest at, %", "null, %", "gain asymmetry, %",
              "maximum flow asymmetry, %", "threshold, %"]  # fmt: skip
-    return heads, [
-        [
-            valve["name"], f"{valve['rated_signal']['value']:.4g}", valve["rated_signal"]["unit"],
-            _percent(valve["hysteresis"]["percent"]), _spread(valve["hysteresis"]["uncertainty_percent"]),
-            _percent(valve["hysteresis"]["widest_at_percent"]), _percent(valve["null"]["percent"]),
-            _percent(valve["gain_asymmetry_percent"]), _percent(valve["maximum_flow_asymmetry_percent"]),
-            _percent(valve["threshold_percent"]),
-        ]
-        for valve in valves
-    ]  # fmt: skip
+    rows = []
+    for valve in valves:
+        rated, loop = valve["rated_signal"], valve["hysteresis"]
+        rows.append([
+            valve["name"], f"{rated['value']:.4g}", rated["unit"], _percent(loop["percent"]),
+            _spread(loop["uncertainty_percent"]), _percent(loop["widest_at_percent"]),
+            _percent(valve["null"]["percent"]), _percent(valve["gain_asymmetry_percent"]),
+            _percent(valve["maximum_flow_asymmetry_percent"]), _percent(valve["threshold_percent"]),
+        ])  # fmt: skip
+    return heads, rows
 
 
 def _leakage(valves: Sequence[Valve]) -> list[list[str]]:

@@ -5,7 +5,7 @@ Needs the extra `report`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from hydro_env.valve_bench.rates import RateCheck
 __all__ = ["draw_curves", "draw_rates"]
 
 DOT: Any = {"markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.7, "zorder": 5}
+#: Factor and label of the axis of a signal, by its unit.
+AXES = {"A": (1e3, "current, mA"), "V": (1.0, "command, V"), "m": (1e3, "spool travel, mm")}
 STYLES = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)))
 
 
@@ -32,10 +34,7 @@ def draw_curves(valves: Sequence[Sequence[Curve]], figures: Sequence[Figures]) -
     edges: list[float] = []
     for n, (sweeps, found) in enumerate(zip(valves, figures, strict=True)):
         colour, style = COLOURS[n % len(COLOURS)], STYLES[n // len(COLOURS) % len(STYLES)]
-        slowest_first = sorted(
-            sweeps, key=lambda curve: 0.0 if curve.time is None else -float(np.ptp(curve.time))
-        )
-        for place, curve in enumerate(slowest_first):
+        for place, curve in enumerate(sorted(sweeps, key=lambda curve: -curve.seconds)):
             loop = loop_of(curve)
             for branch in loop.branches:
                 axis.plot(branch.signal * scale(curve), branch.flow / LPM, color=colour, linestyle=style,
@@ -60,19 +59,16 @@ def _label(curve: Curve, branch: Monotone, loop: Loop, sweeps: int) -> str | Non
         return None
     if sweeps == 1 or curve.time is None:
         return curve.name
-    return f"{curve.name}, {np.ptp(curve.time):.0f} s"
+    return f"{curve.name}, {curve.seconds:.0f} s"
 
 
-def _scale(curves: Sequence[Curve]) -> tuple[Any, str]:
+def _scale(curves: Sequence[Curve]) -> tuple[Callable[[Curve], float], str]:
     """Factor from a curve's signal to the axis, and the axis's label: percent if the valves' inputs differ."""
     units = {curve.signal_unit for curve in curves}
-    if units == {"A"}:
-        return (lambda curve: 1e3), "current, mA"
-    if units == {"V"}:
-        return (lambda curve: 1.0), "command, V"
-    if units == {"m"}:
-        return (lambda curve: 1e3), "spool travel, mm"
-    return (lambda curve: 100.0 / curve.rated), "signal, % of rated"
+    if len(units) > 1 or not units <= AXES.keys():
+        return (lambda curve: curve.percent(1.0)), "signal, % of rated"
+    factor, label = AXES[units.pop()]
+    return (lambda curve: factor), label
 
 
 def _arrows(axis: Any, loop: Loop, scale: float, colour: str) -> None:

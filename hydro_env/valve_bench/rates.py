@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hydro_env.errors import InputError
-from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, branches_of, loop_of
+from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, Monotone, branches_of, loop_of
 from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
 
@@ -79,9 +78,7 @@ class RateCheck:
             "reason": self.reason,
             "sweeps": [
                 {
-                    "rate_percent_per_s": 100.0 * sweep.rate / self.rated
-                    if np.isfinite(sweep.rate)
-                    else None,
+                    "rate_percent_per_s": None if np.isnan(sweep.rate) else 100.0 * sweep.rate / self.rated,
                     "loop_percent": 100.0 * sweep.width / self.rated,
                     "blocks_percent": (100.0 * sweep.blocks / self.rated).tolist(),
                 }
@@ -114,6 +111,7 @@ def sweeps_of(curve: Curve) -> list[Sweep]:
 
 
 def _rate(curve: Curve, branch: Branch) -> float:
+    """Of the signal per second; NaN where the time is not known."""
     if curve.time is None:
         return float("nan")
     # The middle half of the branch: at the turns a generator is slower, and a recording may wait there.
@@ -128,35 +126,23 @@ def _rate(curve: Curve, branch: Branch) -> float:
 def _sweep(curve: Curve, branches: list[Branch], rate: float) -> Sweep:
     loop = loop_of(curve, branches)
     if loop.rising is None or loop.falling is None:
-        raise InputError(
-            f"{curve.name}: a loop needs a rising and a falling branch; sweep the signal back again"
-        )
-    return Sweep(rate, _blocks(loop), _resolution(loop))
+        raise curve.refused("a loop needs a rising and a falling branch; sweep the signal back again")
+    span, samples = float(np.ptp(loop.rising.flow)) or 1.0, float(np.sum(loop.rising.count))
+    # What the scatter of the samples leaves uncertain in the mean width.
+    uncertain = 2.0 * loop.noise / np.sqrt(max(samples, 1.0)) * float(np.ptp(loop.rising.signal)) / span
+    return Sweep(rate, _blocks(loop, loop.rising, loop.falling), uncertain)
 
 
-def _resolution(loop: Loop) -> float:
-    """What the scatter of the samples leaves uncertain in the mean width, in signal."""
-    assert loop.rising is not None
-    span = float(np.ptp(loop.rising.flow)) or 1.0
-    samples = float(np.sum(loop.rising.count))
-    return 2.0 * loop.noise / np.sqrt(max(samples, 1.0)) * float(np.ptp(loop.rising.signal)) / span
-
-
-def _blocks(loop: Loop) -> Floats:
-    """Mean width in blocks of the flow."""
-    assert loop.rising is not None and loop.falling is not None
+def _blocks(loop: Loop, rising: Monotone, falling: Monotone) -> Floats:
+    """Mean width of a loop in blocks of the flow."""
     if loop.kind != FLOW:
         flanks = flanks_of(loop)
-        wide = flank_signals(*flanks[1]) - flank_signals(*flanks[-1])
-        return np.array([part.mean() for row in wide for part in np.array_split(row, BLOCKS)])
-    means = []
-    whole = max(branch.largest(sign) for sign in (1, -1) for branch in loop.branches)
-    for sign in (1, -1):
-        top = min(branch.largest(sign) for branch in loop.branches)
-        if top > 0.05 * whole:
-            wide = widths(loop.rising, loop.falling, sign * top * HEIGHTS)
-            means += [float(part.mean()) for part in np.array_split(wide, BLOCKS)]
-    return np.array(means)
+        sides = list(flank_signals(*flanks[1]) - flank_signals(*flanks[-1]))
+    else:
+        whole = max(branch.largest(sign) for sign in (1, -1) for branch in loop.branches)
+        tops = [(sign, min(branch.largest(sign) for branch in loop.branches)) for sign in (1, -1)]
+        sides = [widths(rising, falling, sign * top * HEIGHTS) for sign, top in tops if top > 0.05 * whole]
+    return np.array([float(part.mean()) for wide in sides for part in np.array_split(wide, BLOCKS)])
 
 
 def check_rates(curves: Sequence[Curve]) -> RateCheck:
@@ -191,37 +177,20 @@ def _decide(sweeps: tuple[Sweep, ...], rates: Floats, rated: float) -> RateCheck
     widest = float(means.max())
     share = tuple(value / widest for value in hysteresis)
     lagging = tuple(2.0 * value * float(rates[-1]) / widest for value in lag)
-    exponent = None
-    if means.min() > 0.0:
-        exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0])
+    exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0]) if means.min() > 0.0 else None
     notes = []
     if len(rates) > 2 and np.max(np.abs(rest) / np.maximum(means, 0.05 * widest)) > 0.15:
-        notes.append(
-            f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line: the intervals allow for it"
-        )
+        told = f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line"
+        notes.append(f"{told}: the intervals allow for it")
     first, last = 100.0 * means[0] / rated, 100.0 * means[-1] / rated
-    story = (
-        f"the loop goes from {last:.3g} % at the fastest sweep to {first:.3g} % at the slowest, "
-        f"{rates[-1] / rates[0]:.3g} times slower"
-    )
+    story = f"the loop goes from {last:.3g} % at the fastest sweep to {first:.3g} % at the slowest"
+    story += f", {rates[-1] / rates[0]:.3g} times slower"
     verdict = _verdict(share, lagging, float(means.min()) / widest)
     if verdict in ("lag", "both"):
-        story += (
-            f"; of that at most {min(100.0 * hysteresis[2] / rated, bound):.3g} % is hysteresis, the lag is {lag[0]:.3g} s "
-            f"({lag[1]:.3g} to {lag[2]:.3g})"
-        )
-    return RateCheck(
-        verdict,
-        story,
-        sweeps,
-        rated,
-        hysteresis_percent=tuple(100.0 * value / rated for value in hysteresis),  # type: ignore[arg-type]
-        lag_s=lag,
-        share=share,  # type: ignore[arg-type]
-        bound_percent=bound,
-        exponent=exponent,
-        findings=tuple(notes),
-    )
+        story += f"; of that at most {min(100.0 * hysteresis[2] / rated, bound):.3g} % is hysteresis"
+        story += f", the lag is {lag[0]:.3g} s ({lag[1]:.3g} to {lag[2]:.3g})"
+    percent = tuple(100.0 * value / rated for value in hysteresis)
+    return RateCheck(verdict, story, sweeps, rated, percent, lag, share, bound, exponent, tuple(notes))  # type: ignore[arg-type]
 
 
 def _straight_line(

@@ -16,6 +16,7 @@ from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
+from hydro_env.measured.table import Table, naming
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -55,25 +56,31 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
     found: dict[str, str] = {}
 
     def choose(names: tuple[str, ...]) -> list[str]:
-        found.update(_chosen(path, columns, names))
+        found.update(_chosen(columns, names))
         return list(found.values())
 
     table = read_table(path, choose, TableStyle(si_suffixes=True))
+    ending = max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
+    with naming(path):
+        curve = _curve(table, found, columns, name or path.name.removesuffix(ending))
+    return replace(curve, findings=tuple(f"{path.name}: {each}" for each in curve.findings))
+
+
+def _curve(table: Table, found: dict[str, str], columns: Columns, name: str) -> Curve:
+    """The curve of a table; `found` are the columns of signal, flow and, if it is one, time."""
     findings = [each.message for each in table.findings if each.code not in SPELLING]
     cells = np.array([table.columns[column] for column in found.values()])
     whole = np.isfinite(cells).all(axis=0)
     if not whole.all():
         missing, first = int(np.count_nonzero(~whole)), table.row(int(np.argmin(whole)))
         if missing > HOLES * len(whole):
-            raise InputError(
-                f"{path}: {missing} of {len(whole)} rows lack a number in {', '.join(found.values())} (first: row {first}); "
-                "name the columns of the curve"
-            )
+            told = f"{missing} of {len(whole)} rows lack a number in {', '.join(found.values())} (first: row {first})"
+            raise InputError(f"{told}; name the columns of the curve")
         findings.append(f"{missing} rows without a number left out, the first is row {first}")
     values = dict(zip(found, cells[:, whole], strict=True))
     suffixed = any(each.code == "si_suffixes" for each in table.findings)
-    signal_unit = _unit(path, "signal", found["signal"], columns.signal_unit, suffixed, tuple(QUANTITIES))
-    flow_unit = _unit(path, "flow", found["flow"], columns.flow_unit, suffixed, ("flow",))
+    signal_unit = _unit("signal", found["signal"], columns.signal_unit, suffixed, tuple(QUANTITIES))
+    flow_unit = _unit("flow", found["flow"], columns.flow_unit, suffixed, ("flow",))
     signal = np.asarray(to_si(values["signal"], signal_unit.name))
     if columns.rated is None:
         rated = float(np.abs(signal).max()) if len(signal) else 0.0
@@ -81,31 +88,33 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
     else:
         rated = float(to_si(columns.rated, signal_unit.name))
     if not rated > 0.0:
-        raise InputError(
-            f"{path}: the rated signal is {rated:g}, column {found['signal']!r}; it must be positive"
+        raise InputError(f"the rated signal is {rated:g}, column {found['signal']!r}; it must be positive")
+    flow = np.asarray(to_si(values["flow"], flow_unit.name))
+    curve = Curve(name, signal, flow, QUANTITIES[signal_unit.quantity], rated, findings=tuple(findings))
+    branches = branches_of(curve)
+    if "time" in found:
+        return replace(
+            curve, time=_times(values["time"], found["time"], columns.time_unit, table.lines[whole])
         )
-    ending = max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
-    try:
-        curve = Curve(
-            name=name or path.name.removesuffix(ending),
-            signal=signal,
-            flow=np.asarray(to_si(values["flow"], flow_unit.name)),
-            signal_unit=QUANTITIES[signal_unit.quantity],
-            rated=rated,
-            findings=tuple(f"{path.name}: {each}" for each in findings),
-        )
-        return replace(curve, time=_time(path, curve, columns, found, values, whole, table.lines[whole]))
-    except InputError as problem:
-        raise InputError(str(problem) if str(path) in str(problem) else f"{path}: {problem}") from None
+    for option, period in (("row", columns.row_period), ("sweep", columns.sweep_period)):
+        if period is not None and not period > 0.0:
+            raise InputError(f"--{option}-period is {period:g}, expected more than 0 s")
+    if columns.row_period is not None:
+        return replace(curve, time=np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float))
+    if columns.sweep_period is None:
+        return curve
+    # A whole triangle passes its range twice.
+    way = sum(abs(signal[branch.stop - 1] - signal[branch.start]) for branch in branches)
+    rows = sum(branch.stop - branch.start for branch in branches)
+    step = columns.sweep_period * way / (2.0 * float(np.ptp(signal)) * rows)
+    return replace(curve, time=np.arange(len(signal)) * step)
 
 
-def _chosen(path: Path, wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
+def _chosen(wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
     """The columns of signal, flow and, if it is one, time."""
     if len(names) < 2:
-        raise InputError(
-            f"{path}: one column ({names[0] if names else 'none'}); a curve needs signal and flow, separated by commas, tabs or "
-            "blanks"
-        )
+        told = f"one column ({names[0] if names else 'none'})"
+        raise InputError(f"{told}; a curve needs signal and flow, separated by commas, tabs or blanks")
     roles = {"signal": wanted.signal or "1", "flow": wanted.flow or "2", "time": wanted.time}
     found: dict[str, str] = {}
     for role, name in roles.items():
@@ -114,45 +123,24 @@ def _chosen(path: Path, wanted: Columns, names: tuple[str, ...]) -> dict[str, st
         elif name is not None and name.isdigit() and 1 <= int(name) <= len(names):
             found[role] = names[int(name) - 1]
         elif name is not None:
-            raise InputError(f"{path}: no column {name!r} for the {role}; {suggestion(name, names)}")
+            raise InputError(f"no column {name!r} for the {role}; {suggestion(name, names)}")
     if len(set(found.values())) < len(found):
-        raise InputError(f"{path}: signal, flow and time must be different columns, not {found}")
+        raise InputError(f"signal, flow and time must be different columns, not {found}")
     return found
 
 
-def _time(
-    path: Path, curve: Curve, columns: Columns, found: dict[str, str], values: dict[str, Floats], whole: np.ndarray,
-    lines: np.ndarray,
-) -> Floats | None:  # fmt: skip
-    """The times of the rows, s, from a column or a period; None where nothing says them."""
-    branches = branches_of(curve)
-    for option in ("row_period", "sweep_period"):
-        period = getattr(columns, option)
-        if period is not None and not period > 0.0 and "time" not in found:
-            raise InputError(f"--{option.replace('_', '-')} is {period:g}, expected more than 0 s")
-    if "time" in found:
-        column = found["time"]
-        time_unit = columns.time_unit or _in_header(column) or "s"
-        if unit(time_unit).quantity != "time":
-            raise InputError(f"{path}: column {column!r}: {time_unit!r} is no unit of time")
-        time = np.asarray(to_si(values["time"], time_unit))
-        back = np.flatnonzero(np.diff(time) < 0.0)
-        if len(back):
-            n = int(back[0]) + 1
-            raise InputError(
-                f"{path}: row {lines[n]}, column {column!r}: time goes back from {time[n - 1]:g} s to {time[n]:g} s; "
-                "sort the rows, or keep one recording per file"
-            )
-        return time
-    if columns.row_period is not None:
-        return np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float)
-    if columns.sweep_period is None:
-        return None
-    # A whole triangle passes its range twice.
-    way = sum(abs(curve.signal[branch.stop - 1] - curve.signal[branch.start]) for branch in branches)
-    rows = sum(branch.stop - branch.start for branch in branches)
-    step = columns.sweep_period * way / (2.0 * float(np.ptp(curve.signal)) * rows)
-    return np.asarray(np.arange(len(curve.signal)) * step)
+def _times(values: Floats, column: str, given: str | None, lines: Floats) -> Floats:
+    """The times of the rows, s, from a column; `lines` are those of the file."""
+    name = given or _in_header(column) or "s"
+    if unit(name).quantity != "time":
+        raise InputError(f"column {column!r}: {name!r} is no unit of time")
+    time = np.asarray(to_si(values, name))
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        n = int(back[0]) + 1
+        told = f"row {lines[n]}, column {column!r}: time goes back from {time[n - 1]:g} s to {time[n]:g} s"
+        raise InputError(f"{told}; sort the rows, or keep one recording per file")
+    return time
 
 
 def _in_header(column: str) -> str | None:
@@ -161,25 +149,22 @@ def _in_header(column: str) -> str | None:
     return found.name if found else None
 
 
-def _unit(
-    path: Path, role: str, column: str, given: str | None, suffixed: bool, quantities: tuple[str, ...]
-) -> Unit:
+def _unit(role: str, column: str, given: str | None, suffixed: bool, quantities: tuple[str, ...]) -> Unit:
+    """The unit of a column, as given or as its name says it."""
     name = given if given is not None else _in_header(column)
     if name is None:
-        raise InputError(f"{path}: column {column!r} says no unit; give it by --{role}-unit, such as " + (
-            "mA, V or percent" if role == "signal" else "l/min"))  # fmt: skip
+        usual = "mA, V or percent" if role == "signal" else "l/min"
+        raise InputError(f"column {column!r} says no unit; give it by --{role}-unit, such as {usual}")
     try:
         known = unit(name)
     except InputError as problem:
-        raise InputError(f"--{role}-unit: {problem}" if given else f"{path}: {problem}") from None
+        raise InputError(f"--{role}-unit: {problem}" if given else problem) from None
     if known.quantity not in quantities:
-        raise InputError(
-            f"{path}: column {column!r}: {name!r} is a unit of {known.quantity}, the {role} needs one of "
-            f"{', '.join(quantities)}; is it the right column?"
-        )
+        told = f"{name!r} is a unit of {known.quantity}, the {role} needs one of {', '.join(quantities)}"
+        raise InputError(f"column {column!r}: {told}; is it the right column?")
     if given is None and suffixed and known.name[:1] in "mku" and known.name not in ("m", "m3/s", "m3/h"):
         raise InputError(
-            f"{path}: column {column!r}: numbers carry suffixes such as 1m and the header's unit is {name}, so the prefix may "
+            f"column {column!r}: numbers carry suffixes such as 1m and the header's unit is {name}, so the prefix may "
             f"count once or twice; say which by --{role}-unit, {name[1:]} if 1m means 1 {name}"
         )
     return known

@@ -49,28 +49,21 @@ def record(
     if not seconds > 0.1:
         raise InputError(f"a sweep of {seconds:g} s: too short for a steady curve, 5 s and more are right")
     period = max(MIN_PERIOD, round(seconds * SHARE / MIN_PERIOD) * MIN_PERIOD)
-    share, quarter = _triangle(seconds, period)
-    rated = model.value("u_rated", channel)
-    command = np.zeros((len(share), 2))
-    command[:, channel] = rated * share
     plant = Plant(model)
-    out = plant.run(command, None, period, ("current", "flow"))
+    time, share, swept = _swept(plant, (channel,), seconds, period, ("current", "flow"))
     if lost := plant.lost:
         raise InputError(f"model {model.name!r}: {lost[0]}")
-    keep = slice(quarter, None)
-    per_volt = 1.0 / model.value("R", channel)
+    rated, per_volt = model.value("u_rated", channel), 1.0 / model.value("R", channel)
     travel = model.value("alpha", channel) / model.value("k", channel)
-    # Row n of a run is the state when command n begins to act: what it answers to is command n - 1.
-    answered = np.concatenate([[0.0], command[:-1, channel]])
-    taken = out["current"][:, 0, channel] if signal == "current" else answered
+    by_current = signal == "current"
     return Curve(
         name=name or f"{model.name}:{channel + 1}",
-        signal=taken[keep],
-        flow=out["flow"][keep, 0, channel],
+        signal=swept["current"][:, 0, channel] if by_current else share * rated,
+        flow=swept["flow"][:, 0, channel],
         signal_unit=SIGNALS[signal],
-        rated=rated * (per_volt if signal == "current" else 1.0),
-        time=np.asarray(np.arange(len(share))[keep] * period, dtype=float),
-        travel_per_signal=travel * (1.0 if signal == "current" else per_volt),
+        rated=rated * (per_volt if by_current else 1.0),
+        time=time,
+        travel_per_signal=travel * (1.0 if by_current else per_volt),
     )
 
 
@@ -80,33 +73,36 @@ def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> 
     Both valves of a rig are swept at once, as on two benches, unless they share a supply that droops. The plant's state is
     used up: pass a copy.
     """
-    share, quarter = _triangle(seconds, period)
-    rated = plant.get("u_rated")
-    flow = np.empty((len(share), plant.num_rigs, 2))
-    for channels in ((0,), (1,)) if any(CATALOGUE[e].couples_channels for e in plant.effects) else ((0, 1),):
+    coupled = any(CATALOGUE[effect].couples_channels for effect in plant.effects)
+    flows: dict[int, NDArray[np.float64]] = {}
+    for channels in ((0,), (1,)) if coupled else ((0, 1),):
         plant.reset()
-        command = np.zeros_like(flow)
-        for channel in channels:
-            command[..., channel] = share[:, None] * rated[:, channel]
-        swept = plant.run(command, None, period, ("flow",))["flow"]
-        for channel in channels:
-            flow[..., channel] = swept[..., channel]
-    keep = slice(quarter, None)
-    answered = np.concatenate([[0.0], share[:-1]])[keep]  # as in `record`
-    time = np.asarray(np.arange(len(share))[keep] * period, dtype=float)
+        time, share, swept = _swept(plant, channels, seconds, period, ("flow",))
+        flows |= {channel: swept["flow"][:, :, channel] for channel in channels}
+    rated = plant.get("u_rated")
 
     def curve(rig: int, channel: int) -> Curve:
-        volts = float(rated[rig, channel])
-        name = f"{plant.model.name} {rig}:{channel + 1}"
-        return Curve(name, answered * volts, flow[keep, rig, channel], SIGNALS["command"], volts, time)
+        volts, name = float(rated[rig, channel]), f"{plant.model.name} {rig}:{channel + 1}"
+        return Curve(name, share * volts, flows[channel][:, rig], SIGNALS["command"], volts, time)
 
     return [(curve(rig, 0), curve(rig, 1)) for rig in range(plant.num_rigs)]
 
 
-def _triangle(seconds: float, period: float) -> tuple[NDArray[np.float64], int]:
-    """A sweep as shares of the rated signal, after a quarter that conditions the valve; rows of that quarter."""
+def _swept(
+    plant: Plant, channels: tuple[int, ...], seconds: float, period: float, signals: tuple[str, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Sweeps valves of all rigs: times (T,), commands (T,) as shares of the rated ones, and `signals` (T, rigs, 2), all after a
+    quarter that conditions the valves."""
     quarter = max(1, round(seconds / 4.0 / period))
-    return triangle(np.arange(5 * quarter + 1) / (4 * quarter)), quarter
+    share = triangle(np.arange(5 * quarter + 1) / (4 * quarter))
+    command = np.zeros((len(share), plant.num_rigs, 2))
+    for channel in channels:
+        command[..., channel] = share[:, None] * plant.get("u_rated")[:, channel]
+    out = plant.run(command, None, period, signals)
+    # Row n of a run is the state when command n begins to act: what it answers to is command n - 1.
+    answered = np.concatenate([[0.0], share[:-1]])
+    time = np.asarray(np.arange(len(share)) * period, dtype=float)
+    return time[quarter:], answered[quarter:], {name: values[quarter:] for name, values in out.items()}
 
 
 def record_rates(

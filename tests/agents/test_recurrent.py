@@ -156,7 +156,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
 
     def cost():
         stage.rigs.env, stage._state = copy.deepcopy(begun), state
-        stage.rigs.observation = stage.rigs.before = begun._history.frames.copy()
+        stage.rigs.observation = stage.rigs.before = begun._frames.copy()
         return (stage._drive()[0] * torch.tensor([1.0, whole.tracking, 1.0])).mean(0).sum()
 
     with torch.no_grad():

@@ -14,9 +14,8 @@ from agents.true_map import true_map
 from hydro_env.controllers import CONTROLLERS, LAWS, make_controller
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
 from hydro_env.controllers.classical.pid import TABLE_III, Pid, per_rpm
-from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.bench_map import ValveMap
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Motor
-from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.controllers.tuning import linearised as linear
 from hydro_env.controllers.tuning import tune
@@ -28,9 +27,10 @@ from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
 
-def test_pid_by_hand():
+def test_pid_by_hand(monkeypatch):
     """kp 2, ti 0.5 s, td 0.1 s, N 10 1/s at 0.1 s: every term worked out on paper."""
-    pid = Pid(0.1, 0.0, 2.0, 0.5, 0.1, filter_rate=10.0)
+    monkeypatch.setattr("hydro_env.controllers.classical.pid.FILTER_RATE", 10.0)
+    pid = Pid(0.1, 0.0, 2.0, 0.5, 0.1)
     # P = 2 e; I += 2 * 0.1/0.5 e = 0.4 e; D = (D + 2*0.1*10 de) / (1 + 1), no kick at the first sample
     assert pid.step(np.array(1.0), limits=(-100, 100)) == pytest.approx(2.0 + 0.4 + 0.0)
     assert pid.step(np.array(2.0), limits=(-100, 100)) == pytest.approx(4.0 + (0.4 + 0.8) + 1.0)
@@ -152,7 +152,9 @@ def test_bench_finds_what_the_parameters_say():
     plant.set("dead_zone.overlap_negative", 80e-6)
     plant.set("null_offset.offset", [[20e-6, -20e-6], [0.0, 0.0], [-30e-6, 30e-6]])
     plant.set("R", [[90.0, 110.0], [100.0, 100.0], [100.0, 95.0]])
-    wanted, got = true_map(plant), on_the_bench(plant)
+    wanted, controller = true_map(plant), make_controller("compensated")
+    controller.prepare(plant)
+    got = controller.valves
     np.testing.assert_allclose(got.edge, wanted.edge, atol=0.006)
     np.testing.assert_allclose(got.gain, wanted.gain, rtol=0.02)
 

@@ -20,10 +20,9 @@ SETTINGS = MotorFilterSettings(together=0.006, apart=0.001, changed=0.1, twice=5
 def driven(load, noise=1.0, rigs=200, rng=None):
     """Speeds, what the filter takes them for, its loads and misses, (T, rigs, 2), under the loads (T, 2) in N m."""
     rng = rng or np.random.default_rng(0)
-    found = MotorFilter(SETTINGS, rigs, PERIOD, Motor())
     speed, none = np.full((rigs, 2), 40.0), np.zeros((rigs, 2))
     pressure = np.full((rigs, 2), FRICTION * 40.0 / DISPLACEMENT)
-    found.reset(slice(None), speed, pressure)
+    found = MotorFilter(SETTINGS, PERIOD, Motor(), speed, pressure)
     rows = []
     for now in load:
         speed = speed + PERIOD / INERTIA * (DISPLACEMENT * pressure - FRICTION * speed - now)
@@ -60,8 +59,7 @@ def test_a_small_load_on_both_motors_does_not_look_like_a_difference_of_loads():
 
 
 def test_a_blind_sensor_changes_no_load_and_its_reading_is_the_speed():
-    found = MotorFilter(SETTINGS, 1, PERIOD, Motor())
-    found.reset(slice(None), np.full((1, 2), 10.0), np.zeros((1, 2)))
+    found = MotorFilter(SETTINGS, PERIOD, Motor(), np.full((1, 2), 10.0), np.zeros((1, 2)))
     blind = np.array([[True, False]])
     for reading in (9.0, 50.0, -20.0):
         found.update(np.array([[reading, 10.0]]), np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2)), blind)

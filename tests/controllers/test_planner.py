@@ -282,7 +282,7 @@ def test_sticking_spools_are_no_delay():
 
 def test_a_pair_that_hunts_is_calmed():
     """Moves cost more where flow is not what the model says, in steady running alone, and no longer once it is again."""
-    planner = Planner(PlannerSettings(), 2, channel())
+    planner = Planner(PlannerSettings(), np.zeros((2, 2)), channel())
     innovation, steady = np.array([[0.0, 0.0], [0.05, 0.0]]), np.zeros(2)
     for _ in range(30):
         weights = planner.move_weights(innovation, steady)

@@ -62,12 +62,14 @@ def test_valves_that_open_early_are_no_noise():
     flows[1:, :, 0], flows[2, :, 1] = [[10.0], [18.0]], 8.0
 
     def found(noise, shown):
-        check = SensorSupervision(SensorSettings(), n, 0.01, Motor())
         for k in range(3):
             speed = noise * rng.standard_normal((n, 2)) * NOISE["speed_rpm"] * RPM
             pressure = (noise * rng.standard_normal((n, 2)) + shown[k]) * NOISE["pressure_bar"] * 1e5
             seen = Measurements(np.zeros(n), speed, np.zeros((n, 2)), pressure, np.zeros((n, 2)))
-            check.reset(slice(None), seen) if k == 0 else check.update(seen, torque, torque, still)
+            if k == 0:
+                check = SensorSupervision(SensorSettings(), 0.01, Motor(), seen)
+            else:
+                check.update(seen, torque, torque, still)
         return check.state.pressure_noise
 
     assert np.mean(found(1.0, flows) > 2.0) < 0.01

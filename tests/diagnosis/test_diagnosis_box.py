@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from hydro_env.diagnosis.estimation.box import minimum_in_box
+from hydro_env.diagnosis.estimation.gauss_newton import minimum_in_box
 
 
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 24), decades=st.floats(0.0, 6.0))

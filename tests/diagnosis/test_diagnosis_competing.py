@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate
+from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.stages.candidates import is_neutral
 from hydro_env.plant import CATALOGUE
 from hydro_env.plant.scales import PAPER

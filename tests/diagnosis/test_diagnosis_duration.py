@@ -7,8 +7,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis.estimation.uncertainty import SHORTEST_S, STRETCH_S
 from hydro_env.diagnosis.input.checks import read_logs
-from hydro_env.diagnosis.input.duration import SHORTEST_S, STRETCH_S
 from hydro_env.errors import InputError
 from hydro_env.measured import RigLog
 from hydro_env.plant import load_model

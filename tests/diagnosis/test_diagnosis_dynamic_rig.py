@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
+from hydro_env.diagnosis.estimation.unknowns import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DTYPE, TOLERANCE, DynamicRig

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, best_on_early_window, could_pay, noise_of
-from hydro_env.diagnosis.estimation.early_window import early_window_of
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.local_minima import best_on_early_window, early_window_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
@@ -26,7 +27,7 @@ def test_a_residual_that_goes_on_for_long_is_looked_into_where_it_would_stay_une
 ) -> None:
     slow = {"line_loss.coefficient": np.cos(0.4 * np.pi * time_of(ROWS))}
     fit, base = logged(slow, {"line_loss.coefficient": size * NOISE[0, "speed"]}, ROWS)
-    assert could_pay(fit, base, 0) == pays
+    assert fit.could_pay(base, 0) == pays
 
 
 def test_the_hidden_effect_is_first_on_the_beginning_of_the_logs(tmp_path: Path) -> None:

@@ -8,25 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns, joined, noise_of, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate, joined
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import solve
+from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import Calibrated, base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
     of_given,
     with_correction,
 )
-from hydro_env.diagnosis.stages.rig_effects import drop_vanished
 from hydro_env.diagnosis.stages.search import Search
-from hydro_env.diagnosis.stages.selection import prefer_form
+from hydro_env.diagnosis.stages.selection import drop_vanished, prefer_form
 from hydro_env.plant import CATALOGUE, load_model
 from hydro_env.practice.generate import make_practice
-from tests.linear_rig import logged, time_of
+from tests.linear_rig import LinearRig, logged, time_of
 
 SIZES = ("overlap_positive", "overlap_negative")
 
@@ -238,7 +240,7 @@ def test_without_a_name_nothing_is_corrected() -> None:
 
 
 def test_a_correction_repeats_what_it_corrects() -> None:
-    problem = with_correction(_bare(), "dead_zone", "corner_shape")
+    problem = with_correction(_bare(), "dead_zone", CATALOGUE["corner_shape"])
     values = problem.request().values
     assert values["corner_shape.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
     assert values["corner_shape.turn"] == 1.0 and "corner_shape.turn" not in [
@@ -254,7 +256,7 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
     values = joined({0: first, 1: other}).request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, 3e-5)
     other.unknowns, other.q = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.2}), np.zeros(1)
-    whole = with_correction(joined({0: first, 1: other}), "dead_zone", "corner_shape", 0)
+    whole = with_correction(joined({0: first, 1: other}), "dead_zone", CATALOGUE["corner_shape"], 0)
     values = whole.request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, nan) and values["load_bias.bias"] == (nan, 0.2)
     assert values["corner_shape.rounding"] == (1e-5, nan)
@@ -273,8 +275,10 @@ def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
     choices = [Accepted("dead_zone", c, 50.0, 36.0) for c in (0, 1)] + [
         Accepted("supply_droop", None, 90.0, 36.0)
     ]
-    trials: list[Candidate] = []
-    left, less = drop_vanished(joined({0: first, 1: other}), choices, trials)
-    assert less.placed_effects() == [("dead_zone", 0)]
-    assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
-    assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].outcome
+    whole = joined({0: first, 1: other})
+    rig = LinearRig({"dead_zone.overlap_positive": np.ones(3)}, np.arange(3.0))
+    search = Search(Fit(rig, {}), {}, [], 4.0, dict.fromkeys((0, 1), whole), choices)  # type: ignore[arg-type]
+    assert drop_vanished(search, whole).placed_effects() == [("dead_zone", 0)]
+    assert [(k.effect, k.channel) for k in search.accepted] == [("dead_zone", 0), ("supply_droop", None)]
+    (trial,) = search.candidates
+    assert (trial.effect, trial.channel) == ("dead_zone", 1) and "vanishes" in trial.outcome

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.diagnosis.estimation import Fit, noise_of
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given

@@ -9,21 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import (
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import differentiate, solve
+from hydro_env.diagnosis.estimation.local_minima import early_window_of, grow_horizon
+from hydro_env.diagnosis.estimation.unknowns import (
     SCALED_TOGETHER,
-    Estimate,
-    Fit,
     Unknown,
     base_unknown,
-    differentiate,
     effect_starts,
     effect_unknowns,
-    grow_horizon,
-    noise_of,
     scaled,
-    solve,
 )
-from hydro_env.diagnosis.estimation.early_window import early_window_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import effective_samples, noise_floor, noise_in
+from hydro_env.diagnosis.estimation.fit import noise_in
+from hydro_env.diagnosis.estimation.noise import effective_samples, noise_floor
 from hydro_env.diagnosis.models.base import Segment
 from tests.linear_rig import LinearRig
 

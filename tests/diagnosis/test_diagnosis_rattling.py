@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import Fit
+from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Request

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import Estimate, Fit, joined
+from hydro_env.diagnosis.estimation.estimate import Estimate, joined
+from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.rig_effects import rig_effect_leads
 from hydro_env.diagnosis.stages.screening import Screening, screen
 from hydro_env.diagnosis.stages.search import Search
+from hydro_env.diagnosis.stages.selection import rig_effect_leads
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import make_practice
 

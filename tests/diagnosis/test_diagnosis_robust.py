@@ -19,7 +19,9 @@ from scipy.signal import lfilter
 
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import Diagnosis, command, diagnose
-from hydro_env.diagnosis.estimation import Estimate, Fit, noise_of, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
@@ -29,7 +31,8 @@ from hydro_env.diagnosis.report.page import report_page
 from hydro_env.diagnosis.report.statements import comment
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import locate
-from hydro_env.diagnosis.stages.values import at_bounds, effect_values, known_parameters, widened_by_form
+from hydro_env.diagnosis.stages.values import effect_values, known_parameters, widened_by_form
+from hydro_env.diagnosis.stages.warnings import about_bounds
 from hydro_env.errors import InputWarning
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, scales_of, simulate
 from hydro_env.practice.generate import make_practice
@@ -69,7 +72,7 @@ def test_any_accepted_value_can_be_calibrated_and_reported(
             comment(rig, known),
             known.moved_by(),
             words.interval(known.estimate),
-            *at_bounds({0: estimate}),
+            *about_bounds({0: estimate}),
         ]
         assert not any("nan" in text or "inf" in text for text in told)
 
@@ -94,9 +97,9 @@ def test_a_value_that_stays_as_given_is_not_at_the_edge_of_its_range() -> None:
     """The paper gives the least Stribeck speed that is possible; a healthy rig has it."""
     given = replace(base_unknown(PARAMETERS["vs"], 1e-4), channel=1)
     assert given.low == given.center
-    assert not at_bounds({1: Estimate(1, [given], np.array([1e-4]))})
+    assert not about_bounds({1: Estimate(1, [given], np.array([1e-4]))})
     moved = replace(base_unknown(PARAMETERS["vs"], 5e-4), channel=1)
-    assert len(at_bounds({1: Estimate(1, [moved], np.array([moved.bounds[0]]))})) == 1
+    assert len(about_bounds({1: Estimate(1, [moved], np.array([moved.bounds[0]]))})) == 1
 
 
 def test_a_file_of_a_large_motor_is_nothing_unusual(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:

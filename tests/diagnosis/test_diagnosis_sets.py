@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import solve
+from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.stages import naming
 from hydro_env.diagnosis.stages.candidates import (

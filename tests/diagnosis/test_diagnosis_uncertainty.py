@@ -6,19 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import (
-    Estimate,
-    Fit,
-    differentiate,
-    less_taken,
-    noise_floor,
-    noise_of,
-    refine,
-)
-from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes, settle
-from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
-from hydro_env.diagnosis.estimation.unknowns import base_unknown
-from hydro_env.diagnosis.input.duration import STRETCH_S
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes, refine, settle
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import differentiate
+from hydro_env.diagnosis.estimation.noise import noise_floor
+from hydro_env.diagnosis.estimation.uncertainty import STRETCH_S, bootstrap, nearest_inside
+from hydro_env.diagnosis.estimation.unknowns import base_unknown, less_taken
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, unpredictable
-from hydro_env.diagnosis.estimation.uncertainty import Intervals
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit
+from hydro_env.diagnosis.estimation.uncertainty import Intervals, unpredictable
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Segment, Segments
 from hydro_env.diagnosis.stages.candidates import Accepted

@@ -11,7 +11,7 @@ import pytest
 
 from hydro_env.diagnosis import RULES, STAGES, Settings, diagnose
 from hydro_env.diagnosis.command import run
-from hydro_env.diagnosis.models.array_laws import elementwise
+from hydro_env.diagnosis.models.steady_valve import elementwise
 from hydro_env.errors import InputError
 from hydro_env.measured import load_mapping, read_log
 from hydro_env.plant import CATALOGUE, load_model

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import Settings, experiment_design
-from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, effect_unknowns
-from hydro_env.diagnosis.estimation.estimate import Intervals
+from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals
+from hydro_env.diagnosis.estimation.fit import Fit
+from hydro_env.diagnosis.estimation.unknowns import base_unknown, effect_unknowns
 from hydro_env.diagnosis.experiment_design import (
     PERIOD,
     SECONDS,

@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_env.envs.observation import SCALES
 from hydro_env.export.compiler import find_compiler
-from hydro_env.export.controllers import c_files
+from hydro_env.export.controllers import export_controller
 from tests.export.test_export_controllers import CLASSICAL, LAWS, NETWORKS, PERIOD, episode, in_python, rig_of
 
 DRIVER = """\
@@ -63,7 +63,7 @@ def measure(name: str, single: bool = False) -> str:
     assert compiler is not None, "a C compiler is needed"
     with tempfile.TemporaryDirectory() as room:
         folder = Path(room)
-        c_files(name, folder, PERIOD, "paper_dead_zone", single=single)
+        export_controller("c", name, folder, PERIOD, "paper_dead_zone", single=single)
         (folder / "samples").write_bytes(np.array(samples).tobytes())
         (folder / "main.c").write_text(DRIVER.format(name=name, rows=len(samples)))
         flags = ["-std=c99", "-O2"]

@@ -23,7 +23,7 @@ from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.envs.observation import SCALES, scales_on
 from hydro_env.export.c_code import c_code
 from hydro_env.export.compiler import find_compiler
-from hydro_env.export.controllers import c_files, program_of, st_file
+from hydro_env.export.controllers import export_controller, program_of
 from hydro_env.export.structured_text import INPUTS
 from hydro_env.export.symbols import TraceError
 from hydro_env.export.tracing import trace
@@ -116,7 +116,7 @@ def compare_c(folder: Path, name: str, scenario: str, mismatch: str | None = "")
     """Not compiled for speed and compiled for speed, C gives what Python gives."""
     plant, own = rig_of(name)
     mismatch = own if mismatch == "" else mismatch
-    c_files(name, folder, PERIOD, "paper_dead_zone", single=False)
+    export_controller("c", name, folder, PERIOD, "paper_dead_zone", single=False)
     controller = in_python(name)
     controller.reset(1, PERIOD)
     expected = episode(controller.act, scenario, plant, mismatch)
@@ -149,7 +149,7 @@ def test_c_equals_python_with_faults(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", [*IN_TEXT, "ppo", pytest.param("gru", marks=pytest.mark.slow)])
 def test_structured_text_equals_python(tmp_path: Path, name: str) -> None:
-    st_file(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("st", name, tmp_path, PERIOD, "paper_dead_zone", single=False)
     plant, mismatch = rig_of(name)
     controller = in_python(name)
     controller.reset(1, PERIOD)
@@ -200,10 +200,10 @@ def test_absent_inputs(tmp_path: Path, name: str) -> None:
     assert np.isfinite(expected).all() and sum(faults) == 111 and np.ptp(expected) > 0.1
     controller = in_python(name)
     controller.reset(1, PERIOD)
-    c_files(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("c", name, tmp_path, PERIOD, "paper_dead_zone", single=False)
     acts: list[Any] = [InC(tmp_path, name, "-O2")]
     if name in (*IN_TEXT, "ppo"):
-        st_file(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+        export_controller("st", name, tmp_path, PERIOD, "paper_dead_zone", single=False)
         acts.append(InText(tmp_path, name))
     for row, command, fault in zip(rows, expected, faults, strict=True):
         assert np.array_equal(controller.act(row[None])[0], command) and controller.guard.fault == [fault]
@@ -214,7 +214,7 @@ def test_absent_inputs(tmp_path: Path, name: str) -> None:
 @needs_compiler
 @pytest.mark.parametrize("name", [*CLASSICAL, "probing_flow", "gru"])
 def test_no_input_makes_a_command_that_is_none(tmp_path: Path, name: str) -> None:
-    c_files(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("c", name, tmp_path, PERIOD, "paper_dead_zone", single=False)
     act, random = InC(tmp_path, name, "-O2"), np.random.default_rng(6)
     extremes = [
         1e308,
@@ -255,7 +255,7 @@ def test_a_batch_loses_only_the_rigs_whose_inputs_are_gone() -> None:
 @pytest.mark.parametrize("name", [*IN_TEXT, "ppo", "sac", "gru"])
 def test_matiec_compiles_the_block(tmp_path: Path, name: str) -> None:
     """To C by iec2c, whose library lies beside it or at $MATIEC_LIB, and on by the C compiler."""
-    st_file(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("st", name, tmp_path, PERIOD, "paper_dead_zone", single=False)
     program, compiler = shutil.which("iec2c"), find_compiler()
     assert program is not None and compiler is not None
     library = os.environ.get("MATIEC_LIB", str(Path(program).resolve().parent / "lib"))
@@ -274,7 +274,7 @@ def test_matiec_compiles_the_block(tmp_path: Path, name: str) -> None:
 @needs_compiler
 def test_gains_and_period_of_ones_own(tmp_path: Path) -> None:
     spec = "cross_coupled:Kp=0.05,shape=0.3"
-    c_files(spec, tmp_path, 0.005, "paper_dead_zone", single=False)
+    export_controller("c", spec, tmp_path, 0.005, "paper_dead_zone", single=False)
     controller = make_controller(spec)
     controller.reset(1, 0.005)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train", 0.005)
@@ -333,13 +333,42 @@ def test_a_law_that_decides_by_a_gain_has_it_built_in(
         OWN_LAW.replace("return self", "return measured.speed if float(self.gains['Ki']) > 5.0 else self")
     )
     spec = "law.py:Mine:Kp=0.3,Ki=0.5"
-    st_file(spec, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("st", spec, tmp_path, PERIOD)
     controller = make_controller(spec)
     controller.reset(1, PERIOD)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
     (file,) = tmp_path.glob("*.st")
     got = episode(InText(tmp_path, file.stem), "setpoint_steps", "paper_dead_zone", "train")
     assert "Gain_" not in file.read_text() and np.abs(got - expected).max() < 1e-12
+
+
+MASKING_LAW = """\
+import numpy as np
+from hydro_env.controllers.base import Controller
+
+class Masking(Controller):
+    def start(self, measured):
+        self.total = np.zeros_like(measured.speed)
+
+    def command(self, measured):
+        error = (measured.setpoint[:, None] - measured.speed) / 60.0
+        far = np.abs(error).max(axis=1) > 0.3
+        self.total[far] += 0.01 * error[far]
+        self.total[far, 0] = 0.1 * error[far, 1]
+        return self.total
+"""
+
+
+@needs_compiler
+def test_a_mask_of_rigs_alone_and_beside_another_index(tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text(MASKING_LAW)
+    spec = f"{tmp_path / 'law.py'}:Masking"
+    export_controller("c", spec, tmp_path, PERIOD)
+    controller = make_controller(spec)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    got = episode(InC(tmp_path, "Masking", "-O2"), "setpoint_steps", "paper_dead_zone", "train")
+    assert np.abs(expected).max() > 0.1 and np.array_equal(got, expected)
 
 
 @needs_compiler
@@ -349,7 +378,7 @@ def test_gains_are_exported_for_the_rig_that_they_were_tuned_on(tmp_path: Path) 
     model.to_yaml(tmp_path / "rig.yaml", source="this test")
     gains, plant = {"Kp": 0.1, "Ti": 0.1, "Td": 0.01, "slew": 300.0}, str(tmp_path / "rig.yaml")
     write_gains(tmp_path / "mine.json", GainsFile(controller="pid", gains=gains, tuning={"plant": plant}))
-    c_files(str(tmp_path / "mine.json"), tmp_path, PERIOD, None, single=False)
+    export_controller("c", str(tmp_path / "mine.json"), tmp_path, PERIOD, None, single=False)
     controller, exported = make_controller(tmp_path / "mine.json"), InC(tmp_path, "mine", "-O2")
     controller.drives(model)
     controller.reset(1, PERIOD)
@@ -374,8 +403,8 @@ def test_a_feed_forward_policy_with_history(tmp_path: Path, activation: str) -> 
     interface = {"kind": "frames", "frames": 2, "width": 9, "increment": 0.3, "errors": True}
     path = tmp_path / "mine.npz"
     write_policy(path, arrays, {"activation": activation, "squash": "tanh", "interface": interface})
-    c_files(str(path), tmp_path, PERIOD, "paper_dead_zone", single=False)
-    st_file(str(path), tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("c", str(path), tmp_path, PERIOD, "paper_dead_zone", single=False)
+    export_controller("st", str(path), tmp_path, PERIOD, "paper_dead_zone", single=False)
     controller = in_python(str(path))
     controller.reset(1, PERIOD)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
@@ -386,7 +415,7 @@ def test_a_feed_forward_policy_with_history(tmp_path: Path, activation: str) -> 
 @needs_compiler
 def test_single_precision_agrees_sample_by_sample(tmp_path: Path) -> None:
     """In closed loop stiction turns the last bit of a float into another course, so both see the same measurements."""
-    c_files("gru", tmp_path, PERIOD, "paper_dead_zone", single=True)
+    export_controller("c", "gru", tmp_path, PERIOD, "paper_dead_zone", single=True)
     controller, act = make_controller("gru"), InC(tmp_path, "gru", "-O2")
     controller.reset(1, PERIOD)
     apart = []
@@ -451,8 +480,8 @@ def test_controllers_may_be_used_while_one_is_traced() -> None:
         traces = [pool.submit(program_of, name, PERIOD) for name in ("cross_coupled", "probing_flow")]
         while not all(trace.done() for trace in traces):
             assert np.array_equal(commands(), expected)
-    alone = c_code(program_of("cross_coupled", PERIOD), "0", "")
-    assert c_code(traces[0].result(), "0", "") == alone
+    alone = c_code(program_of("cross_coupled", PERIOD), "")
+    assert c_code(traces[0].result(), "") == alone
 
 
 def test_the_state_holds_nothing_that_is_not_needed() -> None:

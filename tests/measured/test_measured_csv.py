@@ -13,9 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_env.errors import InputError
-from hydro_env.measured import csv_cells, csv_file
-from hydro_env.measured.csv_cells import Cells
-from hydro_env.measured.csv_file import read_csv
+from hydro_env.measured import csv_file
+from hydro_env.measured.csv_file import Cells, read_csv
 from hydro_env.measured.header import Header
 from hydro_env.measured.mapping import TableStyle
 
@@ -79,7 +78,7 @@ def test_both_readers_give_the_same(
     path.write_bytes(text[0].encode())
     style = TableStyle(delimiter=text[1], si_suffixes=suffixes)
     with mock.patch.object(csv_file, "_BLOCK", block):
-        with mock.patch.object(csv_cells, "_LONG", 0):
+        with mock.patch.object(csv_file, "_LONG", 0):
             found = outcome(path, style)
         with mock.patch.object(Cells, "fast", return_value=None):
             assert found == outcome(path, style)
@@ -98,14 +97,14 @@ def test_fast_reader_takes_ordinary_blocks(
     text: str, decimal: str | None, expected: list[list[float]]
 ) -> None:
     header = Header(("a", "b"), "," if decimal is None else "\t", {}, 0)
-    columns = Cells(Path("log.csv"), header, ["a", "b"], [0, 1], decimal, False, []).fast(text)
+    columns = Cells(header, {"a": 0, "b": 1}, TableStyle(decimal=decimal), []).fast(text)
     assert columns is not None
     np.testing.assert_array_equal(columns, expected)
 
 
 def test_fast_reader_leaves_text_of_other_columns_alone() -> None:
     header = Header(("a", "b", "c", "d"), ";", {}, 0)
-    columns = Cells(Path("log.csv"), header, ["b", "d"], [1, 3], None, False, []).fast("on;1;;2\noff;3;;4\n")
+    columns = Cells(header, {"b": 1, "d": 3}, TableStyle(), []).fast("on;1;;2\noff;3;;4\n")
     assert columns is not None
     np.testing.assert_array_equal(columns, [[1.0, 3.0], [2.0, 4.0]])
 
@@ -122,4 +121,4 @@ def test_lines_are_counted_over_blocks(tmp_path: Path) -> None:
                 mock.patch.object(csv_file, "_BLOCK", block),
                 pytest.raises(InputError, match=r"row 2502, column 'b': 'x' is not a number"),
             ):
-                read_csv(path, lambda names: names)
+                read_csv(path, lambda names: names, TableStyle())

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hydro_env import cli
 from hydro_env.errors import InputError
 from hydro_env.measured import load_mapping, read_log
-from hydro_env.measured.formats import read_binary
+from hydro_env.measured.formats import read_table
 from hydro_env.measured.table import MAX_VALUES
 
 TIME = np.arange(50) * 0.01
@@ -174,18 +174,18 @@ def test_a_wrong_bit_in_what_a_mat_file_says_of_itself_is_read_or_refused(
     short = {"time_s": np.arange(4.0), "log": {"command_1_V": np.arange(4.0), "note": "text"}}
     savemat(path, short, do_compression=packed)
     data = path.read_bytes()
-    assert read_binary(path, lambda names: names).names == ("time_s", "log.command_1_V")
+    assert read_table(path, lambda names: names).names == ("time_s", "log.command_1_V")
     for place in range(128, len(data)):
         for bit in range(0 if place % 4 < 2 else 7, 8):  # lengths and kinds are small
             path.write_bytes(data[:place] + bytes([data[place] ^ 1 << bit]) + data[place + 1 :])
             try:
-                read_binary(path, lambda names: names)
+                read_table(path, lambda names: names)
             except InputError as error:
                 assert str(path) in str(error) and "\n" not in str(error)
     for length in range(128, len(data), 8):
         path.write_bytes(data[:length])
         with suppress(InputError):
-            read_binary(path, lambda names: names)
+            read_table(path, lambda names: names)
 
 
 @pytest.mark.parametrize("ending", ["tdms", "parquet", "mat"])

@@ -58,6 +58,6 @@ def test_what_a_module_depends_on(written: list[Module], monkeypatch: pytest.Mon
     assert len(written) == 4
     module_of((replace(one, laws={"flow": weaker}),), 4, False)
     assert len(written) == 4
-    monkeypatch.setattr(module_cache, "_writers", lambda: "another version")
+    monkeypatch.setattr(module_cache, "sources_of_room", lambda file: "another version")
     module_of((replace(one, laws={"flow": weaker}),), 4, False)
     assert len(written) == 5

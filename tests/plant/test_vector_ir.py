@@ -6,6 +6,7 @@ import ast
 import ctypes
 import inspect
 import textwrap
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -46,14 +47,15 @@ def plain(a, b, h):
 
 def work(cells, h) -> int:
     found = 0
-    twice = 2.0 * h
     for l in range(LANES):
         a = cells[0 * LANES + l]
         b = cells[1 * LANES + l]
-        cells[2 * LANES + l] = branchy(a, b) + h * rooted(a)
+        grown = h * rooted(a)
+        cells[2 * LANES + l] = branchy(a, b) + grown
+        cells[4 * LANES + l] = h - a * b
         found += a > 3.0
     for l in range(LANES):
-        cells[3 * LANES + l] = cells[2 * LANES + l] * twice
+        cells[3 * LANES + l] = cells[2 * LANES + l] * (2.0 * h)
     return found
 '''
 
@@ -87,17 +89,19 @@ _ROW = st.lists(_NUMBER, min_size=LANES, max_size=LANES)
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(a=_ROW, b=_ROW, h=st.floats(1e-6, 1e3))
 def test_same_bits_as_python(module, a, b, h):
-    cells = np.zeros(4 * LANES)
+    cells = np.zeros(5 * LANES)
     cells[:LANES], cells[LANES : 2 * LANES] = a, b
     found = module.run(cells, h)
     expected = np.array([module.plain(x, y, h) for x, y in zip(a, b, strict=True)])
     np.testing.assert_array_equal(cells[2 * LANES : 3 * LANES], expected)
-    np.testing.assert_array_equal(cells[3 * LANES :], expected * (2.0 * h))
+    np.testing.assert_array_equal(cells[3 * LANES : 4 * LANES], expected * (2.0 * h))
+    once = [float(Fraction(h) - Fraction(x) * Fraction(y)) for x, y in zip(a, b, strict=True)]
+    np.testing.assert_array_equal(cells[4 * LANES :], once)  # a product and a sum are rounded once
     assert found == any(x > 3.0 for x in a)
 
 
 def test_single_precision_stays_single(module):
-    cells = np.zeros(4 * LANES, np.float32)
+    cells = np.zeros(5 * LANES, np.float32)
     cells[:LANES] = 0.1
     module.run(cells, np.float32(0.5))
     assert cells[2 * LANES] == pytest.approx(module.plain(np.float32(0.1), np.float32(0.0), 0.5), rel=1e-6)

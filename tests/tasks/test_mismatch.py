@@ -63,8 +63,8 @@ def test_every_extrapolated_pair_leaves_the_training_ranges():
 
 
 def test_pairs_inside_are_drawn_again():
-    narrow, wide = SPLITS["train"], load_mismatch({"R": {"uniform": [89.0, 111.0]}})
-    source = type(wide)("nearly", wide.ranges, entropy=5, cases=100, outside={"R": narrow.ranges["R"]})
+    wide = {"R": {"uniform": [89.0, 111.0]}}
+    source = load_mismatch({"parameters": wide, "entropy": 5, "cases": 100, "outside": "train"})
     values = draw_pairs(source, 100).values["R"]
     assert ((values < 90) | (values > 110)).any(axis=1).all()
     np.testing.assert_array_equal(draw_pairs(source, [41]).values["R"][0], values[41])

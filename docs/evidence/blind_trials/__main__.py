@@ -6,8 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
+from agents.command import run_command
 from hydro_env.diagnosis import RULES
-from hydro_env.errors import run_command
 from hydro_env.limits import CORES, SEEDS, Limits
 
 from .ablation import ablation_table, folder_without, write_ablation

@@ -6,10 +6,8 @@ import numpy as np
 
 from hydro_env.controllers.base import OUTPUT_SHAPING, Floats, Gain, Measurements
 from hydro_env.controllers.classical.cross_coupling import CrossCoupled
-from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.estimation.nominal import Motor
-from hydro_env.controllers.estimation.valve_map import ValveMap
-from hydro_env.plant import Plant
 
 __all__ = ["Compensated"]
 
@@ -17,32 +15,20 @@ MOTOR = Motor()
 BLEND = Gain("blend", "1", 1e-3, 0.1, summary="share of the rated flow below which the inverse is a ramp")
 
 
-class Compensated(CrossCoupled):
+class Compensated(FromTheBench, CrossCoupled):
     """Asks for flow, and turns flow into a command by the inverse of each valve's measured curve.
 
-    The flow that the smoothed set-point takes is fed forward; a cross-coupled PI corrects it. Needs both
-    valves on a bench beforehand (`prepare`) and does not notice when they change afterwards.
+    The flow that the smoothed set-point takes is fed forward; a cross-coupled PI corrects it. It does not notice when valves
+    change afterwards.
     """
 
-    needs = "bench"
     GAINS = (*CrossCoupled.FOLLOWING, BLEND, *OUTPUT_SHAPING)
-    valves: ValveMap | None = None
-
-    def prepare(self, plant: Plant) -> None:
-        self.valves = on_the_bench(plant, self.scales.flow)
 
     def start(self, measured: Measurements) -> None:
-        if self.valves is None:
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
-            )
         super().start(measured)
-
-    def _in_force(self, measured: Measurements) -> Floats:
-        return np.zeros_like(measured.speed)
+        self._track.integral = np.zeros_like(measured.speed)
 
     def command(self, measured: Measurements) -> Floats:
-        assert self.valves is not None
         before = self._reference.value
         reference = self._reference.step(measured.setpoint)
         ahead = MOTOR.demand(reference, (reference - before) / self.period, 0.0)[:, None]

@@ -25,25 +25,32 @@ COUPLING = (
 )
 
 
-class CrossCoupled(Controller):
+class Following(Controller):
+    """A PI on each motor's error, `_track`, to a set-point that is smoothed by a filter, `_reference`."""
+
+    similar = True
+
+    def start(self, measured: Measurements) -> None:
+        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._track = self.pi(measured.command, "Kp", "Ti")
+
+    def pi(self, output: Floats, gain: str, time: str) -> Pid:
+        """A PI with gains of these names, which starts with this output."""
+        return Pid(self.period, output, per_rpm(self.gains[gain]), self.gains[time])
+
+
+class CrossCoupled(Following):
     """PI on each motor's error to the smoothed set-point, and a PI on the speed difference that acts on both.
 
     The motor that is ahead is held back as much as the other is pushed, so that they meet in the middle.
     """
 
     FOLLOWING = (KP, TI, *COUPLING, FILTER)
-    similar = True
     GAINS: ClassVar[tuple[Gain, ...]] = (*FOLLOWING, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
-        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        self._track = Pid(self.period, self._in_force(measured), per_rpm(self.gains["Kp"]), self.gains["Ti"])
-        apart = np.zeros((len(measured.speed), 1))
-        self._couple = Pid(self.period, apart, per_rpm(self.gains["Kc"]), self.gains["Tic"])
-
-    def _in_force(self, measured: Measurements) -> Floats:
-        """What the PI of each motor starts with, (num_rigs, 2)."""
-        return measured.command
+        super().start(measured)
+        self._couple = self.pi(np.zeros((len(measured.speed), 1)), "Kc", "Tic")
 
     def command(self, measured: Measurements) -> Floats:
         return self._follow(self._reference.step(measured.setpoint), measured)
@@ -58,7 +65,7 @@ class CrossCoupled(Controller):
         return SIDES * self._couple.step(behind)
 
 
-class RelativeCoupled(Controller):
+class RelativeCoupled(Following):
     """PI on each motor's error to the smoothed set-point plus its weighted lag behind the other motor.
 
     With many motors, relative coupling feeds every motor its differences to all others, where cross coupling
@@ -70,7 +77,6 @@ class RelativeCoupled(Controller):
     (The weights are usually set by the ratio of the inertias; those of the two motors are equal.)
     """
 
-    similar = True
     GAINS = (
         KP,
         TI,
@@ -79,14 +85,10 @@ class RelativeCoupled(Controller):
         *OUTPUT_SHAPING,
     )
 
-    def start(self, measured: Measurements) -> None:
-        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        self._pid = Pid(self.period, measured.command, per_rpm(self.gains["Kp"]), self.gains["Ti"])
-
     def command(self, measured: Measurements) -> Floats:
         lag = measured.speed[:, ::-1] - measured.speed
         error = self._reference.step(measured.setpoint)[:, None] - measured.speed
-        return self._pid.step(error + self.gains["coupling"] * lag, limits=self.limits)
+        return self._track.step(error + self.gains["coupling"] * lag, limits=self.limits)
 
 
 class VirtualLeader(CrossCoupled):
@@ -114,10 +116,9 @@ class VirtualLeader(CrossCoupled):
         return self._reference.share * (np.abs(leader) + 600.0 * RPM)
 
 
-class MasterSlave(Controller):
+class MasterSlave(Following):
     """Motor 1 follows the smoothed set-point, motor 2 follows the measured speed of motor 1."""
 
-    similar = True
     GAINS = (
         KP,
         TI,
@@ -127,16 +128,14 @@ class MasterSlave(Controller):
         *OUTPUT_SHAPING,
     )
 
-    def start(self, measured: Measurements) -> None:
-        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        kp, ti = (
-            np.stack(
-                np.broadcast_arrays(*(np.ravel(self.gains[key]) for key in (name, f"{name}_slave"))), axis=-1
-            )
-            for name in ("Kp", "Ti")
-        )
-        self._pid = Pid(self.period, measured.command, per_rpm(kp), ti)
+    def pi(self, output: Floats, gain: str, time: str) -> Pid:
+        return Pid(self.period, output, per_rpm(self._both(gain)), self._both(time))
+
+    def _both(self, name: str) -> Floats:
+        """A gain of the master beside that of the slave, (..., 2)."""
+        both = (np.ravel(self.gains[key]) for key in (name, f"{name}_slave"))
+        return np.stack(np.broadcast_arrays(*both), axis=-1)
 
     def command(self, measured: Measurements) -> Floats:
         aim = np.stack([self._reference.step(measured.setpoint), measured.speed[:, 0]], axis=1)
-        return self._pid.step(aim - measured.speed, limits=self.limits)
+        return self._track.step(aim - measured.speed, limits=self.limits)

@@ -42,8 +42,9 @@ class DisturbanceObserver(Controller):
 
     def start(self, measured: Measurements) -> None:
         n = len(measured.speed)
-        self._spool = SpoolModel(n, channel_of(SPOOL, MOTOR, self.period, 1), SPOOL.pressure_lag)
-        self._spool.place(slice(None), measured.command)
+        self._spool = SpoolModel(
+            measured.command, channel_of(SPOOL, MOTOR, self.period, 1), SPOOL.pressure_lag
+        )
         self._valve = np.zeros((n, 2, 2)), np.ones((n, 2))
         self._model = measured.speed.astype(float)
         self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
@@ -56,16 +57,12 @@ class DisturbanceObserver(Controller):
         # The command in force is right as it is: what the rated motor would not need of it is the disturbance.
         wanted = self._wanted(measured)
         self.disturbance: Floats = np.clip(wanted - measured.command, -MAX_DISTURBANCE, MAX_DISTURBANCE)
-        self._fresh = True
 
     def command(self, measured: Measurements) -> Floats:
-        if not self._fresh:  # nothing has passed before the first sample
-            self._observe(measured)
-        self._fresh = False
         self._reference.step(measured.setpoint)
         return self._wanted(measured) - self.disturbance
 
-    def _observe(self, measured: Measurements) -> None:
+    def take_in(self, measured: Measurements) -> None:
         """One period under the command that was in force."""
         before = self._spool.position.copy()
         self._spool.move(measured.command, *self._valve)

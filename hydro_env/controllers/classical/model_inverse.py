@@ -26,20 +26,19 @@ RESERVE = 0.9
 LAG = 2
 
 
-def flow_curve(model: PlantModel, *, points: int = 201, seconds: float = 8.0) -> tuple[Floats, Floats]:
-    """Steady flow of a model's valves: commands (points,) in [-1, 1] and flows (points, 2) in m3/s, not falling.
+def flow_curve(model: PlantModel) -> tuple[Floats, Floats]:
+    """Steady flow of a model's valves: commands (201,) in [-1, 1] and flows (201, 2) in m3/s, not falling.
 
     As on a valve bench: one slow triangle over the whole range, whose rising and falling branches are averaged, with the
     motors running free.
     """
-    period = 0.01
-    steps = round(seconds / period)
+    period, steps = 0.01, 800
     share = triangle(np.arange(steps) / steps)
     command = share[:, None] * np.array(model.pair("u_rated"))
     flow = Plant(model).run(command, None, period, ["flow"])["flow"][1:, 0]
     share = share[:-1]  # a row of the run is the state before its command acts
     falls = np.gradient(share) < 0.0
-    grid = np.linspace(-1.0, 1.0, points)
+    grid = np.linspace(-1.0, 1.0, 201)
     branches = []
     for branch in (falls, ~falls):
         order = np.argsort(share[branch], kind="stable")

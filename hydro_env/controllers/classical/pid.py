@@ -1,8 +1,8 @@
 """The PID law of the paper's eq. (12) and the controllers that run one on each motor.
 
 Sampled as usual in practice: the integral by backward differences, the derivative through a first-order
-filter (`filter_rate` N, 100 1/s assumed since the paper gives none), and no further integration into a
-limit (conditional integration, which needs no parameter of its own), be it of the command or of its rate.
+filter (`FILTER_RATE`), and no further integration into a limit (conditional integration, which needs no
+parameter of its own), be it of the command or of its rate.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ __all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "RampedPid", "per_rp
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""
 
+FILTER_RATE = 100.0
+"""Rate N of the derivative's filter, 1/s, assumed since the paper gives none."""
+
 KP = Gain("Kp", "V/rpm", 0.01, 0.4, summary="proportional gain")
 TI = Gain("Ti", "s", 0.01, 1.0, summary="integral time")
 TD = Gain("Td", "s", 1e-4, 0.06, summary="derivative time")
@@ -43,17 +46,11 @@ class Pid:
     """u = kp (e + 1/ti int e dt + td de/dt) + feedforward, limited; vectorised by broadcasting."""
 
     def __init__(
-        self,
-        period: float,
-        output: ArrayLike,
-        kp: ArrayLike,
-        ti: ArrayLike,
-        td: ArrayLike = 0.0,
-        filter_rate: float = 100.0,
+        self, period: float, output: ArrayLike, kp: ArrayLike, ti: ArrayLike, td: ArrayLike = 0.0
     ) -> None:
         """Starts with the output that is in force, at a sample time of `period` s, without a derivative kick."""
         self.kp, self.ti, self.td = (np.asarray(value, dtype=float) for value in (kp, ti, td))
-        self.period, self.filter_rate = period, filter_rate
+        self.period = period
         self.integral: Floats = np.array(output, dtype=float)
         self.derivative: Floats = np.zeros_like(self.integral)
         self._last_error: Floats | None = None
@@ -65,8 +62,8 @@ class Pid:
         low, high = limits
         change = error - (error if self._last_error is None else self._last_error)
         self._last_error = error
-        rate = self.filter_rate * self.period
-        self.derivative = (self.derivative + self.kp * self.td * self.filter_rate * change) / (1.0 + rate)
+        rate = FILTER_RATE * self.period
+        self.derivative = (self.derivative + self.kp * self.td * FILTER_RATE * change) / (1.0 + rate)
         grown = self.integral + self.kp * (self.period / self.ti) * error
         rest = self.kp * error + self.derivative + feedforward
         output = rest + grown

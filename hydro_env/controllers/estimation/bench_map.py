@@ -1,31 +1,66 @@
-"""The valves of rigs as the valve bench finds them, for controllers that had each pair there beforehand."""
+"""Steady flow curves of valves as the valve bench finds them, for controllers that had each pair there beforehand; units as in
+`estimation.nominal`."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Controller, Floats, Measurements
 from hydro_env.controllers.estimation.nominal import RATED_FLOW
-from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
-__all__ = ["on_the_bench"]
+__all__ = ["FromTheBench", "ValveMap"]
 
 UNREAD = ((0.1, 0.8), (0.1, 0.8))
 """Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
 
 
-def on_the_bench(plant: Plant, flow: float = 1.0) -> ValveMap:
-    """What the valve bench finds of both valves of every rig: a slow sweep of each, its dead zones and normal flow gains
-    as `hydro-env valve-test` reports them, for a rig with `flow` times the rated flow of the paper's. Nothing else of the plant
-    is looked at; its state is used up: pass a copy.
+@dataclass
+class ValveMap:
+    """Steady flow curve: in direction s, flow = s gain_s max(0, s command - edge_s).
+
+    `edge` and `gain` have the shape (num_rigs, 2 channels, 2 directions), the positive direction first.
     """
-    found = _measured(_Rigs(plant), flow)
-    return ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
+
+    edge: Floats
+    gain: Floats
+
+    def command(self, flow: Floats, blend: float | Floats = 1e-3) -> Floats:
+        """The command for a flow, both (num_rigs, 2). Below `blend` (a flow) the jump over the dead zone is
+        a ramp.
+        """
+        negative = (flow < 0.0).astype(int)[..., None]
+        edge = np.take_along_axis(self.edge, negative, axis=2)[..., 0]
+        gain = np.take_along_axis(self.gain, negative, axis=2)[..., 0]
+        sign = np.where(flow < 0.0, -1.0, 1.0)
+        beyond = sign * (edge + np.abs(flow) / gain)
+        middle = 0.5 * (self.edge[..., 0] - self.edge[..., 1])
+        return middle + np.clip(np.abs(flow) / blend, 0.0, 1.0) * (beyond - middle)
+
+
+class FromTheBench(Controller):
+    """A controller that had the valves on a bench beforehand: `valves` are a slow sweep of each, its dead zones and normal flow
+    gains as `hydro-env valve-test` reports them. Nothing else of the plant is looked at."""
+
+    needs = "bench"
+    valves: ValveMap
+
+    def prepare(self, plant: Plant) -> None:
+        """The state of the plant is used up."""
+        found = _measured(_Rigs(plant), self.scales.flow)
+        self.valves = ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
+
+    def start(self, measured: Measurements) -> None:
+        if not hasattr(self, "valves"):
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
+            )
+        super().start(measured)
 
 
 class _Rigs:

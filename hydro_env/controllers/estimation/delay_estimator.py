@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
@@ -36,17 +36,12 @@ DelayNumbers: Any = numbers_of(DelaySettings)
 class DelayEstimator:
     """Whole control periods by which the commands come late, `periods` (num_rigs,)."""
 
-    def __init__(self, settings: DelaySettings, num_rigs: int) -> None:
+    def __init__(self, settings: DelaySettings, position: Floats, flow: Floats) -> None:
+        """Spools and flows (num_rigs, 2) as they are now."""
         self._numbers = numbers(DelayNumbers, settings)
-        self.periods = np.zeros(num_rigs, int)
-        self._position = np.zeros((MAX_DELAY + 2, num_rigs, 2))
-        self._misses = np.zeros((MAX_DELAY + 1, num_rigs, 2))
-        self._flow: Floats = np.zeros((num_rigs, 2))
-
-    def reset(self, rows: Rows, position: Floats, flow: Floats) -> None:
-        """No delay; spools and flows (n, 2) as they are now."""
-        self.periods[rows], self._misses[:, rows] = 0, 0.0
-        self._position[:, rows], self._flow[rows] = position, flow
+        self.periods = np.zeros(len(position), int)
+        self._position, self._flow = np.stack([position] * (MAX_DELAY + 2)), flow
+        self._misses = np.zeros((MAX_DELAY + 1, *position.shape))
 
     def update(self, position: Floats, flow: Floats, gain: Floats, flowing: Floats, noise: Floats) -> Bools:
         """Takes in where a modelled spool is without any delay, and the flow; returns the rigs whose delay is now seen

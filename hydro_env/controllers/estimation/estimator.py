@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY, DelayEstimator, DelaySettings
 from hydro_env.controllers.estimation.motor_filter import MotorFilter, MotorFilterSettings
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING, NOMINAL, RATED_FLOW, Motor
@@ -42,32 +42,21 @@ class Estimator:
     """
 
     def __init__(
-        self, settings: EstimatorSettings, motor: Motor, num_rigs: int, period: float, horizon: int
+        self, settings: EstimatorSettings, motor: Motor, seen: Measurements, period: float, horizon: int
     ) -> None:
+        """`seen`: the first measurements, at rest."""
         self.settings, self.motor, self.period = settings, motor, period
         self.channel: Channel = channel_of(settings.spool, motor, period, horizon)
-        lag, pair = settings.spool.pressure_lag, (num_rigs, 2)
-        self.spool, self.prompt = (SpoolModel(num_rigs, self.channel, lag) for _ in range(2))
-        self.valves = ValveEstimator(settings.valves, num_rigs, period)
-        self.motors = MotorFilter(settings.motors, num_rigs, period, motor)
-        self.sensors = SensorSupervision(settings.sensors, num_rigs, period, motor)
-        self.delay = DelayEstimator(settings.delay, num_rigs)
-        self.sent, self._places = np.zeros((MAX_DELAY + 1, *pair)), np.zeros((MAX_DELAY + 1, 2, *pair))
-        self.flow: Floats = np.zeros(pair)
-        self.flow_noise: Floats = np.ones(pair)
-        self._pressure = np.zeros(pair)
-
-    def reset(self, rows: Rows, seen: Measurements) -> None:
-        """Forgets the rigs `rows`, which measure `seen` and are at rest."""
-        self.spool.place(rows, seen.command)
-        self.prompt.place(rows, seen.command)
-        self._places[:, 0, rows], self._places[:, 1, rows] = seen.command, 0.0
-        self.sent[:, rows], self._pressure[rows] = seen.command, seen.pressure
-        self.flow[rows], self.flow_noise[rows] = self.motor.flow(seen.speed, seen.pressure), 1.0
-        self.sensors.reset(rows, seen)
-        self.delay.reset(rows, seen.command, self.flow[rows])
-        self.valves.reset(rows)
-        self.motors.reset(rows, seen.speed, seen.pressure)
+        lag = settings.spool.pressure_lag
+        self.spool, self.prompt = (SpoolModel(seen.command, self.channel, lag) for _ in range(2))
+        self.sent, self._pressure = np.stack([seen.command] * (MAX_DELAY + 1)), seen.pressure
+        self._places = np.stack([self.sent, np.zeros_like(self.sent)], axis=1)
+        self.flow: Floats = motor.flow(seen.speed, seen.pressure)
+        self.flow_noise: Floats = np.ones(self.flow.shape)
+        self.valves = ValveEstimator(settings.valves, len(self.flow), period)
+        self.motors = MotorFilter(settings.motors, period, motor, seen.speed, seen.pressure)
+        self.sensors = SensorSupervision(settings.sensors, period, motor, seen)
+        self.delay = DelayEstimator(settings.delay, seen.command, self.flow)
 
     def update(
         self, seen: Measurements, sent: Floats, steady: NDArray[np.bool_], flowing: Floats, sweep: float

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
@@ -56,18 +56,16 @@ class MotorState(NamedTuple):
 class MotorFilter:
     """Holds a `MotorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float, motor: Motor) -> None:
-        pair = (num_rigs, 2)
+    def __init__(
+        self, settings: MotorFilterSettings, period: float, motor: Motor, speed: Floats, pressure: Floats
+    ) -> None:
+        """No load; `speed` and `pressure` (num_rigs, 2) as they are now."""
         self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
         self._motor = motor.noise * TORQUE_NOISE, motor.friction * FRICTION
-        speed, torque, miss, before = np.zeros((4, *pair))
-        self.state = MotorState(speed, torque, miss, np.zeros((num_rigs, 4, 4)), before)
-
-    def reset(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
-        """No load; speeds and pressures as they are now."""
-        self.state.speed[rows], self.state.pressure[rows] = speed, pressure
-        self.state.torque[rows], self.state.miss[rows] = 0.0, 0.0
-        self.state.covariance[rows] = SPEED_NOISE**2 * np.diag([1.0, 1.0, 0.0, 0.0])
+        torque, miss = np.zeros((2, *speed.shape))
+        covariance = np.zeros((len(speed), 4, 4))
+        covariance[:] = SPEED_NOISE**2 * np.diag([1.0, 1.0, 0.0, 0.0])
+        self.state = MotorState(np.array(speed, float), torque, miss, covariance, np.array(pressure, float))
 
     def update(
         self, speed: Floats, pressure: Floats, unsampled: Floats, noise: Floats, blind: NDArray[np.bool_]

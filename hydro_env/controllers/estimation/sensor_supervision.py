@@ -74,22 +74,28 @@ class SensorState(NamedTuple):
 class SensorSupervision:
     """Holds a `SensorState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: SensorSettings, num_rigs: int, period: float, motor: Motor) -> None:
-        pair = (num_rigs, 2)
+    def __init__(self, settings: SensorSettings, period: float, motor: Motor, seen: Measurements) -> None:
+        """`seen`: the first readings, taken at rest."""
+        num_rigs, pair = len(seen.speed), seen.speed.shape
         self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
         self._period, self._leak = period, motor.leakage * LEAKAGE
         self._leak_noise, self._pressure_noise = motor.noise * LEAK_NOISE, motor.noise * PRESSURE_NOISE
         self._drag = motor.friction * FRICTION
         stuck, lagging = np.zeros((2, *pair), bool)
-        noise, pressure, square, pressure_square = np.ones((4, *pair))
-        speed, lag, along, size = np.zeros((4, *pair))
+        noise, pressure_noise, square, pressure_square = np.ones((4, *pair))
+        speed, size = np.array(seen.speed, float), np.full(pair, (15.0 * RPM) ** 2)
+        lag, along = np.zeros((2, *pair))
         self.state = SensorState(
-            speed, noise, pressure, square, pressure_square, stuck, lagging, lag, along, size
+            speed, noise, pressure_noise, square, pressure_square, stuck, lagging, lag, along, size
         )
-        self._read, self._pressure = np.zeros((3, *pair)), np.zeros((3, *pair))
+        self._read, self._pressure = np.stack([seen.speed] * 3), np.stack([seen.pressure] * 3)
         # squares of the first three readings at rest: of both speeds, then both pressures
         self._firsts = np.full((num_rigs, 3, 4), np.inf)
-        self._age, self._steady = np.zeros(num_rigs, int), np.zeros(num_rigs, int)
+        self._age, self._steady = np.ones(num_rigs, int), np.zeros(num_rigs, int)
+        self._first_readings(slice(None), seen.speed, seen.pressure)
+        noise, pressure_noise = np.sqrt(square), np.sqrt(pressure_square)
+        self.state.noise[:] = np.where(noise > settings.noisy, noise, 1.0)
+        self.state.pressure_noise[:] = np.where(pressure_noise > settings.noisy_pressure, pressure_noise, 1.0)
 
     @property
     def unsound(self) -> Bools:
@@ -102,20 +108,6 @@ class SensorSupervision:
         s = self.state
         heard = np.hypot(self._leak_noise * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
         return np.where((s.noise > 1.0) | (s.pressure_noise > 1.0), heard / FLOW_NOISE, 1.0)
-
-    def reset(self, rows: Rows, seen: Measurements) -> None:
-        """Begins again with the first readings, taken at rest."""
-        s = self.state
-        s.speed[rows] = seen.speed
-        self._read[:, rows], self._pressure[:, rows] = seen.speed, seen.pressure
-        s.stuck[rows], s.lagging[rows], s.lag[rows] = False, False, 0.0
-        s.along[rows], s.size[rows] = 0.0, (15.0 * RPM) ** 2
-        self._age[rows], self._steady[rows] = 1, 0
-        self._firsts[rows] = np.inf
-        self._first_readings(rows, seen.speed, seen.pressure)
-        noise, pressure = np.sqrt(s.speed_square), np.sqrt(s.pressure_square)
-        s.noise[:] = np.where(noise > self.settings.noisy, noise, 1.0)
-        s.pressure_noise[:] = np.where(pressure > self.settings.noisy_pressure, pressure, 1.0)
 
     def update(self, seen: Measurements, torque: Floats, valve_flow: Floats, steady: Bools) -> Floats:
         """Takes in the next readings; returns the speeds to go by.
@@ -169,9 +161,7 @@ def _supervise(s, period, leak, drag, read, pressures, torque, valve_flow, stead
             push = per_torque * (DISPLACEMENT * between - drag * v.speed[i, c] - torque[i, c])
             was = v.lagging[i, c]
             _lag(s, i, c, period, new - old, old - older, push + per_torque * torque[i, c], v)
-            if (
-                v.lagging[i, c] and not was
-            ):  # what the reading had fallen behind by the time that this is seen
+            if v.lagging[i, c] and not was:  # what the reading has fallen behind by now
                 v.speed[i, c] = old + v.lag[i, c] * (new - old) / period
             by_flow = (valve_flow[i, c] - leak * pressures[0, i, c]) / DISPLACEMENT
             _speed(s, i, c, period, new, new - old, v.speed[i, c] + push, by_flow, v)

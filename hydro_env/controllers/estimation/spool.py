@@ -12,9 +12,8 @@ from math import exp
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
@@ -54,10 +53,8 @@ class Channel(NamedTuple):
     per_torque: float
     per_acceleration: float
     fresh: float  # share of the flow at its end, not at its beginning, that turns the motor in a substep
-    travel: NDArray[
-        np.float64
-    ]  # of a spool after a command of 1 that lasts a period, by substep: (horizon steps,)
-    swing: NDArray[np.float64]  # its speed over `rate`
+    travel: Floats  # of a spool after a command of 1 that lasts a period, by substep: (horizon steps,)
+    swing: Floats  # its speed over `rate`
 
 
 def channel_of(settings: SpoolSettings, motor: Motor, period: float, horizon: int) -> Channel:
@@ -94,19 +91,16 @@ class SpoolModel:
     mean of its two ends, which is what samples miss.
     """
 
-    def __init__(self, num_rigs: int, channel: Channel, pressure_lag: float) -> None:
+    def __init__(self, command: Floats, channel: Channel, pressure_lag: float) -> None:
+        """At rest, where a command (num_rigs, 2) brings them that was in force for long."""
         self.channel, self._pressure_lag = channel, pressure_lag
-        self.position, self.speed, self.coil, self.ringing, self.unsampled = np.zeros((5, num_rigs, 2))
+        self.position, self.coil = np.array(command, float), np.array(command, float)
+        self.speed, self.ringing, self.unsampled = np.zeros((3, *command.shape))
 
     @property
     def shown(self) -> Floats:
         """Positions (num_rigs, 2) that the measured flow tells of, which lags."""
         return self.position - self._pressure_lag * self.speed
-
-    def place(self, rows: Rows, position: Floats) -> None:
-        """Puts spools to rest at a position."""
-        self.position[rows], self.coil[rows] = position, position
-        self.speed[rows], self.ringing[rows], self.unsampled[rows] = 0.0, 0.0, 0.0
 
     def move(self, command: Floats, edge: Floats, gain: Floats) -> None:
         """One control period under held commands (num_rigs, 2), behind valves with these edges and gains."""

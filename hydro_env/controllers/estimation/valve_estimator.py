@@ -65,24 +65,18 @@ class ValveState(NamedTuple):
 
 
 class ValveEstimator:
-    """Holds a `ValveState` in `state`, whose arrays keep their place."""
+    """Holds a `ValveState` in `state`, whose arrays keep their place; at first what is known of any valve of this type."""
 
     def __init__(self, settings: ValveSettings, num_rigs: int, period: float) -> None:
         self.settings, self._period, self._numbers = settings, period, numbers(ValveNumbers, settings)
-        pair, each = (num_rigs, 2), (num_rigs, 2, 2)
-        self.state = ValveState(
-            np.zeros(pair), np.zeros(each), np.zeros(each, bool), np.zeros(each), np.zeros(pair), np.zeros(each),
-            np.zeros(each), np.zeros(pair), np.zeros(pair),
-        )  # fmt: skip
-
-    def reset(self, rows: Rows) -> None:
-        """Back to what is known of any valve of this type."""
-        prior, v = self.settings, self.state
+        prior, pair, each = settings, (num_rigs, 2), (num_rigs, 2, 2)
         span = prior.farthest + prior.nearest
-        v.gain[rows], v.edge[rows] = prior.gain, 0.5 * (prior.farthest - prior.nearest)
-        v.unknown[rows], v.passed[rows] = True, -prior.nearest
-        v.gain_variance[rows], v.edge_variance[rows] = prior.gain_scatter**2, span**2 / 12.0
-        v.gain_edge[rows], v.edge_edge[rows], v.innovation[rows] = 0.0, 0.0, 0.0
+        self.state = ValveState(
+            gain=np.full(pair, prior.gain), edge=np.full(each, 0.5 * (prior.farthest - prior.nearest)),
+            unknown=np.ones(each, bool), passed=np.full(each, -prior.nearest),
+            gain_variance=np.full(pair, prior.gain_scatter**2), edge_variance=np.full(each, span**2 / 12.0),
+            gain_edge=np.zeros(each), edge_edge=np.zeros(pair), innovation=np.zeros(pair),
+        )  # fmt: skip
 
     def begin_with(self, edge: Floats, gain: Floats, edge_deviation: float, gain_deviation: float) -> None:
         """Takes edges (num_rigs, 2, 2) and gains (num_rigs, 2) from elsewhere, known with these standard deviations."""
@@ -171,10 +165,8 @@ def _correct(s, i, c, here, place, seen, uncertain, noise, v):
     """Kalman update with flow = gain (place - edge); returns the innovation and the gain towards the spool's position."""
     there = 1 - here
     along = np.empty(2)
-    beyond, by_edge = (
-        max(place - v.edge[i, c, here], 0.0),
-        -v.gain[i, c],
-    )  # derivatives by gain and by the edge
+    # derivatives by gain and by the edge
+    beyond, by_edge = max(place - v.edge[i, c, here], 0.0), -v.gain[i, c]
     along_gain = beyond * v.gain_variance[i, c] + by_edge * v.gain_edge[i, c, here]
     along[here] = beyond * v.gain_edge[i, c, here] + by_edge * v.edge_variance[i, c, here]
     along[there] = beyond * v.gain_edge[i, c, there] + by_edge * v.edge_edge[i, c]

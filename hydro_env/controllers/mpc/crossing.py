@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.valve_estimator import ValveState
 from hydro_env.controllers.settings import TUNED, setting
@@ -41,10 +41,6 @@ class Crossing:
         # at longer periods spools creep as far a sample as usual
         self._creep = settings.search * min(1.0, TUNED_PERIOD / period) * period
         self.state = CrossingState(np.zeros(num_rigs), np.zeros(num_rigs, bool), np.zeros((num_rigs, 2)))
-
-    def reset(self, rows: Rows) -> None:
-        """No flow, no crossing."""
-        self.state.direction[rows], self.state.active[rows], self.state.position[rows] = 0.0, False, 0.0
 
     def update(self, demand: Floats, valves: ValveState, probing: Bools) -> None:
         """Begins a crossing where the flow that the reference takes (num_rigs,) changes its direction and an edge there is

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
@@ -86,8 +86,9 @@ class FeedbackState(NamedTuple):
 class Feedback:
     """Holds a `FeedbackState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: FeedbackSettings, motor: Motor, channel: Channel, num_rigs: int) -> None:
-        period = channel.period
+    def __init__(self, settings: FeedbackSettings, motor: Motor, channel: Channel, speed: Floats) -> None:
+        """Asks at first for the flow that holds the speeds (num_rigs, 2)."""
+        period, num_rigs = channel.period, len(speed)
         spans = np.array([period, settings.lead * TUNED_PERIOD])
         if motor.damping:
             shares = spans
@@ -109,23 +110,10 @@ class Feedback:
             swell=1e-12 * motor.compliance * NOMINAL["J"] / NOMINAL["D"] / RATED_FLOW / period if motor.damping else 0.0,
             push=NOMINAL["D"] / NOMINAL["J"], inertia=NOMINAL["J"], drag=motor.friction * NOMINAL["B"],
         )  # fmt: skip
-        pair = (num_rigs, 2)
-        self.state = FeedbackState(
-            np.zeros(pair),
-            np.zeros(pair),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs),
-            np.zeros(num_rigs, int),
-        )
-        self._wanted, self._before = np.zeros((MAX_DELAY + 1, *pair)), np.zeros(num_rigs)
-
-    def reset(self, rows: Rows, speed: Floats) -> None:
-        """The flow that holds the speeds (n, 2)."""
-        f = self.state
-        f.flow[rows], f.apart[rows], f.behind[rows] = self._channel.per_speed * speed, 0.0, 0.0
-        f.short[rows], f.sudden[rows], f.pause[rows] = 0.0, 0.0, 0
-        self._wanted[:, rows], self._before[rows] = 0.0, 0.0
+        behind, short, sudden, self._before = np.zeros((4, num_rigs))
+        flow, apart = channel.per_speed * speed, np.zeros((num_rigs, 2))
+        self.state = FeedbackState(flow, apart, behind, short, sudden, np.zeros(num_rigs, int))
+        self._wanted = np.zeros((MAX_DELAY + 1, num_rigs, 2))
 
     def update(
         self, speed: Floats, motors: MotorState, noise: Floats, delay: NDArray[np.int64], wanted: Floats,

@@ -15,11 +15,10 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.estimation.bench_map import on_the_bench
-from hydro_env.controllers.estimation.valve_map import ValveMap
+from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.plant import Plant, PlantModel, Scales, scales_of
+from hydro_env.plant import PlantModel, Scales, scales_of
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
 
@@ -49,7 +48,7 @@ class ProbingFlow(Controller):
     settings = FlowSettings()
     """Beneath the gains."""
 
-    law: FlowController | None = None
+    law: FlowController
     _model: PlantModel | None = None
 
     def drives(self, model: PlantModel) -> None:
@@ -59,15 +58,13 @@ class ProbingFlow(Controller):
     def units_for(self, model: PlantModel) -> Scales:
         return scales_of(model) if leaks(model) else units_of(model)
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        super().reset(num_rigs, control_period)
-        self.law = None
+    def start(self, measured: Measurements) -> None:
+        self.law = self._begun(measured)
+
+    def take_in(self, measured: Measurements) -> None:
+        self.law.update(measured)
 
     def command(self, measured: Measurements) -> Floats:
-        if self.law is None:
-            self.law = self._begun(measured)
-        else:
-            self.law.update(measured)
         return self.law.command()
 
     def _begun(self, measured: Measurements) -> FlowController:
@@ -104,22 +101,13 @@ class AdaptiveFlow(ProbingFlow):
     settings = replace(NO_PROBING, planner=None)
 
 
-class BenchFlow(ProbingFlow):
+class BenchFlow(FromTheBench, ProbingFlow):
     """Had the valves on a bench. The paper's motor is known to it."""
 
-    needs = "bench"
     GAINS = (RATE, RISE, FALL)
     settings = NO_PROBING
-    valves: ValveMap | None = None
-
-    def prepare(self, plant: Plant) -> None:
-        self.valves = on_the_bench(plant, self.scales.flow)
 
     def _begun(self, measured: Measurements) -> FlowController:
-        if self.valves is None:
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
-            )
         law = super()._begun(measured)
         law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
         return law

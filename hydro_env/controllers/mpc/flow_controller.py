@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, Motor
 from hydro_env.controllers.input_shaping import InputShaper
@@ -61,33 +61,19 @@ class FlowController:
         """Begins with the first measurements of all rigs; forgets everything before. `period` in s."""
         s, n = self.settings, len(seen.speed)
         self.period = period
-        self.estimator = Estimator(s.estimator, s.motor, n, period, HORIZON)
+        self.estimator = Estimator(s.estimator, s.motor, seen, period, HORIZON)
+        channel = self.estimator.channel
         self.probing = Probing(s.probing, n, period)
         self.crossing = Crossing(s.crossing, n, period)
-        self.feedback = Feedback(s.feedback, s.motor, self.estimator.channel, n)
-        self.reference = Reference(s.reference, self.estimator.channel, n, self.feedback.remembered)
-        self.shaper = InputShaper(s.estimator.spool.rate, period, np.zeros((n, 2)))
-        self.planner = Planner(s.planner, n, self.estimator.channel) if s.planner else None
-        self._plans = self.planner is not None and self.planner.fits(period)
+        self.feedback = Feedback(s.feedback, s.motor, channel, seen.speed)
+        remembered = self.feedback.remembered
+        self.reference = Reference(s.reference, channel, seen.setpoint, seen.speed, remembered)
+        self.shaper = InputShaper(s.estimator.spool.rate, period, seen.command)
+        planned = s.planner if Planner.fits(period) else None
+        self.planner = Planner(planned, seen.command, channel) if planned else None
         # periods by which speeds follow the reference
         self._response = s.planner.behind if s.planner else s.feedback.delay / period
-        self.setpoint: Floats = np.zeros(n)
-        self.sent, self.wanted = np.zeros((2, n, 2))
-        self.restart(np.arange(n), seen)
-
-    def restart(self, rows: Rows, seen: Measurements) -> None:
-        """Begins again with the first measurements of some rigs (indices)."""
-        self.estimator.reset(rows, seen)
-        self.probing.reset(rows)
-        self.crossing.reset(rows)
-        self.feedback.reset(rows, seen.speed)
-        self.reference.reset(rows, seen.setpoint, seen.speed)
-        if self.planner:
-            self.planner.reset(rows, seen.command)
-        self.setpoint[rows], self.sent[rows], self.wanted[rows] = seen.setpoint, seen.command, 0.0
-        begun = np.zeros((len(self.sent), 1), bool)
-        begun[rows] = True
-        self.shaper.replace(begun, self.sent)
+        self.setpoint, self.sent, self.wanted = seen.setpoint, np.array(seen.command, float), np.zeros((n, 2))
 
     def update(self, seen: Measurements) -> None:
         """Takes in the next measurements of all rigs and decides what flow they are to get."""
@@ -124,7 +110,7 @@ class FlowController:
         sent = np.clip(smooth + sudden * (newest - smooth), -1.0, 1.0)
         led = self.probing.lead(sent, e.spool, e.valves, e.channel)
         self.shaper.replace(led, sent)
-        if self.planner and self._plans:
+        if self.planner:
             sent = self._plan(sent, last)
         self.sent = sent
         return sent.copy()

@@ -56,8 +56,8 @@ class Oracle(Controller):
         Gain("smooth", "rad2/s2", 30.0, 1000.0, summary="weight of the squared moves of a command"),
         Gain("stops", "rad2/(s2 mm2)", 100.0, 1e4, summary="weight of the squared travel beyond the margin"),
     )
-    _twin: Plant | None = None
-    _load: Floats | None = None
+    _twin: Plant
+    _load: Floats
 
     def prepare(self, plant: Plant) -> None:
         self._twin = plant
@@ -66,7 +66,7 @@ class Oracle(Controller):
         self._load = load
 
     def start(self, measured: Measurements) -> None:
-        if self._twin is None or self._load is None:
+        if not (hasattr(self, "_twin") and hasattr(self, "_load")):
             raise RuntimeError(
                 f"{self.name} needs prepare(plant) and foresee(load) before the episode: it needs the true plant"
             )
@@ -75,11 +75,8 @@ class Oracle(Controller):
         self._rated = get("u_rated")
         speed, travel = self.rig.speed, self.rig.travel
         sizes = {"difference": 1.0, "smooth": speed**2, "stops": (speed / travel) ** 2}
-        values = [
-            *(size * np.ravel(self.gains[gain]) for gain, size in sizes.items()),
-            np.array([speed * CORNER]),
-        ]
-        self._weights = [np.broadcast_to(each, (n,)).copy() for each in values]
+        weights = [size * np.ravel(self.gains[gain]) for gain, size in sizes.items()]
+        self._weights = [np.broadcast_to(each, (n,)).copy() for each in (*weights, speed * CORNER)]
         self._plan = np.zeros((n, HORIZON, 2))
         self._sent = np.zeros((n, 2))
         self._row = 0
@@ -93,7 +90,6 @@ class Oracle(Controller):
         self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
 
     def command(self, measured: Measurements) -> Floats:
-        assert self._twin is not None and self._load is not None
         change = measured.setpoint - self._setpoint
         self._setpoint = measured.setpoint
         stepped = np.abs(change) > self.rig.speed * STEP
@@ -140,7 +136,6 @@ class Oracle(Controller):
         instants, after at most `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not
         help is taken back and tried smaller.
         """
-        assert self._twin is not None
         plan, load, task = start[rows], np.take(load, rows, 1), task.of(rows)
         n = len(rows)
         every, going = n == len(start), np.arange(n)

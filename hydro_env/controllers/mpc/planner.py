@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
@@ -114,19 +114,16 @@ class Work(NamedTuple):
 class Planner:
     """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period it was tuned at."""
 
-    def __init__(self, settings: PlannerSettings, num_rigs: int, channel: Channel) -> None:
+    def __init__(self, settings: PlannerSettings, sent: Floats, channel: Channel) -> None:
+        """The command `sent` (num_rigs, 2) goes on at first."""
         self.settings, self._numbers = settings, numbers(PlannerNumbers, settings)
         self._channel, self._work = channel, Work.of(channel.steps)
-        self.plan, self._mean = np.zeros((num_rigs, 2, HORIZON)), np.zeros(num_rigs)
+        self.plan, self._mean = np.stack([sent] * HORIZON, axis=-1), np.zeros(len(sent))
 
     @staticmethod
     def fits(period: float) -> bool:
         """Whether commands are planned at this control period."""
         return abs(period - TUNED_PERIOD) < 1e-6
-
-    def reset(self, rows: Rows, sent: Floats) -> None:
-        """The command (n, 2) goes on."""
-        self.plan[rows], self._mean[rows] = sent[..., None], 0.0
 
     def step(self, planned: Bools, plain: Floats, scene: Scene) -> Floats:
         """Commands (num_rigs, 2) of the rigs that are `planned` (num_rigs,); `plain` (num_rigs, 2, HORIZON) is a plan to begin
@@ -193,27 +190,20 @@ def _move(x, v, coil, speed, flow, command, edge, gain, drag, m):
 
 
 @compiled
+def _begin(s, i, c, m):
+    """A channel as a plan begins with it: spool, coil, speed of the motor, flow, and the flow that the load takes."""
+    x, edge = s.place[0, i, c], s.edge[i, c]
+    flow, _ = valve_flow(x, edge[0], edge[1], s.gain[i, c])
+    return x, s.place[1, i, c], s.place[2, i, c], s.motor[i, c], flow, m.per_torque * s.load[i, c]
+
+
+@compiled
 def cost_of(plan, i, s, w, m, work):
     """The cost of a plan (2, H) of rig i; fills `speeds`, `ends` and `opened` of `work`."""
     # Both channels in one loop: one's next step does not wait for the other's.
     a, b, gain, opened = s.edge[i, 0], s.edge[i, 1], s.gain[i], work.opened
-    x0, v0, coil0, speed0, drag0 = (
-        s.place[0, i, 0],
-        s.place[1, i, 0],
-        s.place[2, i, 0],
-        s.motor[i, 0],
-        s.load[i, 0],
-    )
-    x1, v1, coil1, speed1, drag1 = (
-        s.place[0, i, 1],
-        s.place[1, i, 1],
-        s.place[2, i, 1],
-        s.motor[i, 1],
-        s.load[i, 1],
-    )
-    drag0, drag1 = m.per_torque * drag0, m.per_torque * drag1
-    flow0, _ = valve_flow(x0, a[0], a[1], gain[0])
-    flow1, _ = valve_flow(x1, b[0], b[1], gain[1])
+    x0, v0, coil0, speed0, flow0, drag0 = _begin(s, i, 0, m)
+    x1, v1, coil1, speed1, flow1, drag1 = _begin(s, i, 1, m)
     work.speeds[0, 0], work.speeds[1, 0] = speed0, speed1
     total, weight = 0.0, w.moves * s.heavier[i]
     for k in range(HORIZON):
@@ -234,14 +224,9 @@ def cost_of(plan, i, s, w, m, work):
     ends[0, 0], ends[0, 1] = x0 - plan[0, last], v0 / m.rate
     ends[1, 0], ends[1, 1] = x1 - plan[1, last], v1 / m.rate
     total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
-    return _add_speeds(total, work.speeds, s.aim[i], w)
-
-
-@compiled
-def _add_speeds(total, speeds, aim, w):
-    """A cost with those of differences and distances from the aim."""
     for k in range(1, HORIZON + 1):
-        apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
+        one, two = work.speeds[0, k], work.speeds[1, k]
+        apart, off = one - two, 0.5 * (one + two) - s.aim[i, k]
         square = apart * apart
         total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * off * off
     return total

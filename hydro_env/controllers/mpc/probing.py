@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
 from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
@@ -60,17 +60,10 @@ class Probing:
         self._led = settings.led and period <= 1.5 * TUNED_PERIOD
         self._precise = self._led and abs(period - TUNED_PERIOD) < 1e-6
         pair = (num_rigs, 2)
-        self.active, self.sides = np.zeros(num_rigs, bool), np.zeros(pair, int)
-        self._swept, self._settled = np.zeros(pair), np.zeros(num_rigs, int)
+        self.active, self.sides = np.full(num_rigs, settings.active, bool), np.zeros(pair, int)
+        self._swept, self._settled = np.full(pair, FROM), np.zeros(num_rigs, int)
         # spools that stand still in their sweep; that have just found their first and their second edge
         self._waits, self._first, self._second = np.zeros((3, *pair), bool)
-
-    def reset(self, rows: Rows) -> None:
-        """Begins."""
-        self.active[rows], self.sides[rows], self._swept[rows] = self.settings.active, 0, FROM
-        self._settled[rows] = 0
-        for flags in (self._waits, self._first, self._second):
-            flags[rows] = False
 
     @property
     def flowing(self) -> Floats:

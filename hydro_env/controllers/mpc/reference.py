@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.estimation.valve_estimator import ValveState
@@ -55,23 +55,18 @@ class ReferenceState(NamedTuple):
 class Reference:
     """Holds a `ReferenceState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: ReferenceSettings, channel: Channel, num_rigs: int, remembered: int) -> None:
+    def __init__(
+        self, settings: ReferenceSettings, channel: Channel, setpoint: Floats, speed: Floats, remembered: int
+    ) -> None:
+        """Begins at the mean of both motors' speeds (num_rigs, 2); `setpoint` (num_rigs,). `remembered`: speeds that are kept."""
         self.settings, self._channel, period = settings, channel, channel.period
         self._numbers = numbers(ReferenceNumbers, settings)
         # at longer periods more goes wrong before it is seen: flow rises by less
         self._growth = settings.rise * min(1.0, TUNED_PERIOD / period) ** 1.5 * period
-        speed, acceleration, flow = np.zeros((3, num_rigs))
-        history = np.zeros((remembered, num_rigs))
-        self.state = ReferenceState(speed, acceleration, flow, history)
-        self._setpoint, self._slope = np.zeros(num_rigs), np.zeros(num_rigs)
-        self.smooth = np.zeros(num_rigs, bool)
-
-    def reset(self, rows: Rows, setpoint: Floats, speed: Floats) -> None:
-        """Begins at the mean of both motors' speeds (n, 2)."""
-        r = self.state
-        r.speed[rows], r.acceleration[rows], r.flow[rows] = np.mean(speed, axis=1), 0.0, 0.0
-        r.history[:, rows] = r.speed[rows]
-        self._setpoint[rows], self._slope[rows] = setpoint, 0.0
+        acceleration, flow, self._slope = np.zeros((3, len(setpoint)))
+        mean = np.mean(speed, axis=1)
+        self.state = ReferenceState(mean, acceleration, flow, np.stack([mean] * remembered))
+        self._setpoint, self.smooth = setpoint, np.zeros(len(setpoint), bool)
 
     def foresee(self, setpoint: Floats, response: float) -> Floats:
         """Where a smoothly moving set-point will be when the motors can be there, (num_rigs,). `response`: periods by which

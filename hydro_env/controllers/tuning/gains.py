@@ -84,7 +84,8 @@ def read_gains(path: str | Path) -> GainsFile:
 
 
 def write_gains(path: str | Path, found: GainsFile) -> None:
-    """Writes a gains file atomically."""
+    """Writes a gains file atomically; makes its folder if need be."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     data = found.model_dump()
     for key in ("plant", "periods"):
         if not data[key]:

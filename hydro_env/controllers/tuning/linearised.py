@@ -12,6 +12,7 @@ paper does not say what was chosen, and `MS` is the round number that comes near
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,40 +86,37 @@ def run(
         )
     model = load_model(plant)
     found = [tune_channel(model, channel, max_sensitivity) for channel in (0, 1)]
-    gains: dict[str, float | list[float]] = {key: [each[key] for each in found] for key in UNITS}
-    integral = [(each["Kp"] / each["Ti"]) / (kp / ti) for each, kp, ti in
-                zip(found, TABLE_III["Kp"], TABLE_III["Ti"], strict=True)]  # fmt: skip
-    near = {
-        key: [round(each[key] / paper - 1.0, 3) for each, paper in zip(found, TABLE_III[key], strict=True)]
-        for key in ("Kp", "Ti")
-    }
+    gains = {key: [each[key] for each in found] for key in UNITS}
+    ours, paper = _with_integral(gains), _with_integral(TABLE_III)
+    near = {key: (ours[key] / paper[key] - 1.0).round(3).tolist() for key in ours}
     tuning = {
         "command": f"hydro-env tune --linear --plant {plant} --max-sensitivity {max_sensitivity:g}",
         "method": "linearised plant, Ti cancels the slowest pole, Kp as large as the largest sensitivity allows",
         "plant": str(plant),
         "max_sensitivity": max_sensitivity,
         "table_iii": {key: list(value) for key, value in TABLE_III.items()},
-        "relative_to_table_iii": near | {"Kp/Ti": [round(each - 1.0, 3) for each in integral]},
+        "relative_to_table_iii": near,
     }
-    Path(out).mkdir(parents=True, exist_ok=True)
     file = GainsFile(name=name or "pid_linear", controller="pid", gains=gains, units=UNITS, tuning=tuning)
     write_gains(Path(out) / "gains.json", file)
     return {"controller": "pid", "gains": gains, "units": UNITS, "tuning": tuning}
 
 
+def _with_integral(gains: Mapping[str, Sequence[float]]) -> dict[str, Floats]:
+    """Kp, Ti and the gain of the integral, Kp/Ti, of both channels."""
+    kp, ti = np.array(gains["Kp"]), np.array(gains["Ti"])
+    return {"Kp": kp, "Ti": ti, "Kp/Ti": kp / ti}
+
+
 def summary(found: dict[str, Any]) -> str:
     """What a run says: the gains beside those of Table III."""
-    lines = [
-        f"largest sensitivity {found['tuning']['max_sensitivity']:g}; Table III in brackets, difference to it"
-    ]
-    for channel in (0, 1):
-        parts = []
-        for key in ("Kp", "Ti"):
-            paper, off = TABLE_III[key][channel], found["tuning"]["relative_to_table_iii"][key][channel]
-            parts.append(
-                f"{key} {found['gains'][key][channel]:.4g} {UNITS[key]} ({paper:g}) {100 * off:+.0f} %"
-            )
-        parts.append(f"Td 0 s ({TABLE_III['Td'][channel]:g})")
-        parts.append(f"Kp/Ti {100 * found['tuning']['relative_to_table_iii']['Kp/Ti'][channel]:+.0f} %")
-        lines.append(f"valve {channel + 1}: " + ", ".join(parts))
+    tuning, off = found["tuning"], found["tuning"]["relative_to_table_iii"]
+    lines = [f"largest sensitivity {tuning['max_sensitivity']:g}; Table III in brackets, difference to it"]
+    for c in (0, 1):
+        parts = [
+            f"{key} {found['gains'][key][c]:.4g} {UNITS[key]} ({TABLE_III[key][c]:g}) {100 * off[key][c]:+.0f} %"
+            for key in ("Kp", "Ti")
+        ]
+        parts += [f"Td 0 s ({TABLE_III['Td'][c]:g})", f"Kp/Ti {100 * off['Kp/Ti'][c]:+.0f} %"]
+        lines.append(f"valve {c + 1}: " + ", ".join(parts))
     return "\n".join(lines)

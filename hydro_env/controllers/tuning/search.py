@@ -146,16 +146,15 @@ def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[st
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
         best, told = trials.final(found.population, found.population_energies, known)
-    found_gains = dict(zip((gain.name for gain in law.GAINS), _values(law, best), strict=True))
+    found_gains = _named(law, _values(law, best))
     if found_gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
         del found_gains["slew"]  # the whole range within one period: no limit
     size = scales_of(load_model(task.plant)) if law.similar else PAPER
     sizes = {gain.name: gain.size(size) for gain in law.GAINS}
     told["trials"] = POPULATION * found.nfev  # SciPy counts generations
     told["episodes"] = (found.nfev + 1) * wanted.generation
-    told["at_end_of_range"] = {
-        name: end for name, end in _ends(law, best, bounds).items() if name in found_gains
-    }
+    ends = _ends(law, best, bounds)
+    told["at_end_of_range"] = {name: end for name, end in ends.items() if name in found_gains}
     return {
         "gains": {key: float(f"{value * sizes[key]:.4g}") for key, value in found_gains.items()},
         "tuning": _account(wanted, task, generations, known) | told,
@@ -182,9 +181,7 @@ class _Trials:
 
     def _on(self, seeds: range, genes: Floats) -> Floats:
         columns = np.repeat(_values(self.law, genes), len(seeds), axis=1)[:, :, None]
-        tried = self.law(
-            self.task.law, **dict(zip((gain.name for gain in self.law.GAINS), columns, strict=True))
-        )
+        tried = self.law(self.task.law, **_named(self.law, columns))
         return costs_of(tried.carry(), genes.shape[1], self.task, seeds, self.wanted.period, self.bar)
 
     def final(
@@ -230,8 +227,13 @@ def _short(value: float) -> float:
 def _ends(law: type[Controller], genes: Floats, bounds: Floats) -> dict[str, float]:
     """Gains that lie at an end of the range that is searched, with the share of the range they lie at: 0 or 1."""
     low, high = bounds.T
-    shares = dict(zip((gain.name for gain in law.GAINS), (genes - low) / (high - low), strict=True))
+    shares = _named(law, (genes - low) / (high - low))
     return {name: round(share) for name, share in shares.items() if abs(share - round(share)) < AT_END}
+
+
+def _named(law: type[Controller], values: Floats) -> dict[str, Any]:
+    """Values (gains, ...) by the names of the law's gains."""
+    return dict(zip((gain.name for gain in law.GAINS), values, strict=True))
 
 
 @contextmanager

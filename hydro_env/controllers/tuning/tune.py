@@ -63,7 +63,6 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
         units=_units(law_of(task.law)),
         tuning=tuning,
     )
-    Path(out).mkdir(parents=True, exist_ok=True)
     write_gains(Path(out) / "gains.json", file)
     return {"controller": task.law, "gains": file.gains, "units": file.units, "tuning": tuning}
 
@@ -113,7 +112,7 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         kept = read_gains(path)
         if origin.items() <= kept.tuning.items():
             return kept
-    out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)  # before hours of work
     own = search(Search(task, seed, PERIOD, progress=progress))
     found = [
         search(Search(task, seed, period, progress=progress), [own["gains"]]) for period in OTHER_PERIODS

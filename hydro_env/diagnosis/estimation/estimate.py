@@ -9,10 +9,8 @@ from math import nan
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ..models.base import Request
+from ..models.base import Request, Samples
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
-
-__all__ = ["Estimate", "Intervals", "Vector", "joined"]
 
 Vector = np.ndarray
 
@@ -41,8 +39,8 @@ class Estimate:
     unknowns: list[Unknown]
     q: Vector
     label: str = ""
-    simulated: dict[int, Vector] = field(default_factory=dict)
-    columns: dict[int, Vector] = field(default_factory=dict)
+    simulated: Samples = field(default_factory=dict)
+    columns: Samples = field(default_factory=dict)
     cost: float = np.inf
     intervals: Intervals | None = None
     follow: dict[str, str | float] = field(default_factory=dict)
@@ -138,7 +136,7 @@ class Estimate:
         unknowns, label = [self.unknowns[j] for j in keep], f"without {effect}"
         return Estimate(self.channel, unknowns, self.q[keep], label, follow=follow)
 
-    def improve(self, cost: float, q: Vector, simulated: dict[int, Vector]) -> None:
+    def improve(self, cost: float, q: Vector, simulated: Samples) -> None:
         """Moves to q, where the `simulated` samples have this cost, if that is lower."""
         if cost < self.cost:
             self.cost, self.q, self.simulated = cost, q, simulated

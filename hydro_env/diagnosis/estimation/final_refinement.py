@@ -15,12 +15,9 @@ import numpy as np
 
 from .estimate import Estimate, Vector
 from .fit import Fit
-from .fit_criteria import far_from_noise
 from .gauss_newton import simulate_moves, step_all
 
-__all__ = ["moves_along_axes", "refine", "settle"]
-
-#: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
+#: Reach of the secants in standard deviations, in turn, a third each; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
 #: Turns at most, and the fall of the cost in one below which an estimate has settled: that of one parameter that moves by its
 #: standard deviation.
@@ -36,7 +33,7 @@ def refine(fit: Fit, fine: Fit, estimates: Iterable[Estimate]) -> None:
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.
     """
-    near = [p for p in dict.fromkeys(estimates) if p.simulated and not far_from_noise(fine, p)]
+    near = [p for p in dict.fromkeys(estimates) if p.simulated and not fine.far_from_noise(p)]
     settle(fit, near)
     near = _ready(fine, near)
     # The way is mostly short, and the derivatives that they bring along show it.

@@ -14,12 +14,10 @@ from math import pi, sqrt
 import numpy as np
 
 from ...plant.scales import swing
-from ..models.base import BLOCK_S, Joined, RigModel, Segment
+from ..models.base import BLOCK_S, Joined, RigModel, Samples, Segment
 from ..settings import Settings
 from .estimate import Estimate, Vector
 from .noise import WINDOW_S, effective_samples, noise_floor
-
-__all__ = ["Fit", "Noise", "noise_in", "noise_of"]
 
 #: Standard deviations of the noise by (channel, signal), in SI.
 Noise = dict[tuple[int, str], float]
@@ -28,6 +26,20 @@ MIN_SAMPLES = 8
 #: Windows of the noise for a motor that swings, as a share of the time of a swing, and what is much less noise than the usual
 #: ones show: coloured noise shows somewhat less in shorter windows, too.
 SHARE_OF_SWING, MUCH_LESS = 0.1, 0.5
+#: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
+CLEARLY_ABOVE = 2.0
+#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown: errors of 1.15 times the
+#: noise in one signal.
+SMALL_SUM = 0.15
+#: A log is at its noise up to this many times that: two standard deviations of an RMS over `MAX_ROWS` samples,
+#: 1 + 2 / sqrt(12000).
+WITHIN_NOISE = 1.02
+#: A log whose mean square error is above this many times the noise's (that squared) could pay for an effect, if its deviance is
+#: worth one parameter of a library of 200 (`candidates.penalty_per_parameter`).
+ABOVE_NOISE, WORTH = 1.04, 20.0
+#: A residual (`Fit.level`) up to which a local minimum may be the cause, errors of 2.1 times the noise; what a missing effect
+#: leaves is larger.
+SMALL_LEVEL = 1.0
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
 
@@ -48,14 +60,11 @@ def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
     """The smallest noise that the residual of a model or the bare signal shows, SI."""
     noise: Noise = {}
     for channel, estimate in estimates.items():
-        found: dict[str, list[float]] = {}
-        for s in rig.segments[channel]:
+        simulated = estimate.simulated[channel]
+        for signal, own in rig.segments[channel].by_signal.items():
             # Of the residual: a model, even a poor one, takes the fast movements out.
-            error = s.measured - estimate.simulated[channel][s.place]
-            both = [noise_in(rig, s, x) for x in (error, s.measured)]
-            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
-        for signal, values in found.items():
-            noise[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
+            both = [[noise_in(rig, s, x) for x in (s.measured - simulated[s.place], s.measured)] for s in own]
+            noise[channel, signal] = max(float(np.nanmedian(np.nanmin(both, axis=1))), 1e-12)
     return noise
 
 
@@ -74,9 +83,8 @@ class Fit:
     def with_noise_seen_by(self, estimates: dict[int, Estimate]) -> Fit:
         """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
         seen = noise_of(self.rig, estimates)
-        return replace(
-            self, noise={key: min(value, seen.get(key, value)) for key, value in self.noise.items()}
-        )
+        noise = {key: min(value, seen.get(key, value)) for key, value in self.noise.items()}
+        return replace(self, noise=noise)
 
     def channels_of(self, estimate: Estimate) -> tuple[int, ...]:
         return self.rig.channels if estimate.channel is None else (estimate.channel,)
@@ -86,7 +94,7 @@ class Fit:
         """RMS error by (log, signal) over the rows that count, SI."""
         found = {}
         for s in self.rig.segments[channel]:
-            error = (s.measured - simulated[s.place])[s.used]
+            error = s.left(simulated)
             found[s.log, s.signal] = float(np.sqrt(np.mean(error * error))) if error.size else float("nan")
         return found
 
@@ -109,13 +117,55 @@ class Fit:
         found = (self.levels(estimate.simulated[c], c) for c in self.channels_of(estimate))
         return max(v for each in found for v in each.values())
 
-    def at_noise(self, estimate: Estimate, within: float = 1.02) -> bool:
+    def at_noise(self, estimate: Estimate, within: float = WITHIN_NOISE) -> bool:
         """Whether no signal of any log is left with more than `within` times its noise."""
         return all(
             value < within * self.noise[channel, signal]
             for channel in self.channels_of(estimate)
             for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
         )
+
+    # --- criteria ---------------------------------------------------------------------------------------------------------
+    def could_pay(self, estimate: Estimate, channel: int) -> bool:
+        """Whether a channel has a residual above its noise that could pay for an effect, or one that must not stay unexplained.
+
+        A residual that goes on for long counts few independent samples, and the many more that are left when an effect explains
+        it.
+        """
+        worth, seen = 0.0, False
+        for s in self.rig.segments[channel]:
+            error = s.left(estimate.simulated[channel])
+            if error.size:
+                ratio = float(np.mean(error**2)) / self.noise[channel, s.signal] ** 2
+                seen = seen or ratio > ABOVE_NOISE
+                worth += effective_samples(error) * max(np.log(ratio), 0.0)
+        return seen and (worth > WORTH or self.unexplained(estimate, channel))
+
+    def unexplained(self, estimate: Estimate, channel: int) -> bool:
+        """Whether a residual stays that is clearly above the noise, in a signal of a log."""
+        left = self.rms(estimate.simulated[channel], channel)
+        return any(
+            v > self.settings.unexplained * self.noise[channel, signal] for (_, signal), v in left.items()
+        )
+
+    def mostly_explained(self, before: Estimate, after: Estimate, channel: int) -> bool:
+        """Whether most of the residual that `before` leaves on a channel is explained by `after`, by level or by power.
+
+        By level a few events count little, such as a spool that meets its end stop late in a model of another functional form;
+        by power what is small everywhere counts little, such as the ripple that a steady model leaves.
+        """
+        old, new = (sum(self.levels(p.simulated[channel], channel).values()) for p in (before, after))
+        by_level = new < SMALL_SUM or new < (1.0 - self.settings.most_of_level) * old
+        was, left = (self.rms(p.simulated[channel], channel) for p in (before, after))
+        noise = {k: self.noise[channel, k[1]] for k in left}
+        excess = {k: left[k] ** 2 - noise[k] ** 2 for k in left if left[k] > CLEARLY_ABOVE * noise[k]}
+        left_share = 1.0 - self.settings.most_of_power
+        by_power = all(e < left_share * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
+        return by_level or by_power
+
+    def far_from_noise(self, estimate: Estimate) -> bool:
+        """Whether more is left than a local minimum leaves."""
+        return self.level(estimate) > SMALL_LEVEL
 
     # --- likelihood -------------------------------------------------------------------------------------------------------
     def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:
@@ -127,7 +177,7 @@ class Fit:
         mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
         return j, mean + np.array([self.noise[channel, signal] ** 2 for signal in j.signals])[j.signal]
 
-    def cost(self, estimate: Estimate, simulated: dict[int, Vector], q: Vector) -> float:
+    def cost(self, estimate: Estimate, simulated: Samples, q: Vector) -> float:
         """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
         total = float(sum(v * v for u, v in zip(estimate.unknowns, q, strict=True) if u.prior))
         for channel in self.channels_of(estimate):
@@ -150,7 +200,7 @@ class Fit:
         for one, result in zip(estimates, self.rig.predict([p.request() for p in estimates]), strict=True):
             self.take(one, result)
 
-    def take(self, estimate: Estimate, simulated: dict[int, Vector]) -> None:
+    def take(self, estimate: Estimate, simulated: Samples) -> None:
         """Sets what was simulated at the estimate, and its cost."""
         estimate.simulated, estimate.cost = simulated, self.cost(estimate, simulated, estimate.q)
 

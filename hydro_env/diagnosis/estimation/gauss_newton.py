@@ -9,20 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
 
-from .box import minimum_in_box
+from ..models.base import Samples
 from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["SETTLE_ITERATIONS", "differentiate", "simulate_moves", "solve", "step_all"]
-
-#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
-SETTLE_ITERATIONS = 12
-
 #: Steps of q for finite differences, in turn, since stiction makes the data a rough function of its parameters. Where a prior is
 #: 30 % wide these are 4.5 %, 1.2 % for an estimate that is near its minimum, and 12 % to step over local minima.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
+#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
+SETTLE_ITERATIONS = 4 * len(DIFFERENCE_STEPS)
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Longest step in any coordinate of q: three standard deviations of its prior.
@@ -82,10 +81,25 @@ def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
     return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
 
 
+def minimum_in_box(matrix: np.ndarray, side: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The x (k,) with low <= x <= high at which x' matrix x / 2 - side' x is least.
+
+    `matrix` (k, k) is symmetric and positive definite, `side`, `low` and `high` are (k,). As bounded least squares: with the
+    Cholesky factor, matrix = U' U, it is the least |U x - U'^-1 side|.
+    """
+    size = 1.0 / np.sqrt(np.diag(matrix))  # unknowns in units of their own, so that one tolerance serves all
+    upper = cholesky(matrix * np.outer(size, size))
+    right = solve_triangular(upper, side * size, trans="T")
+    found = lsq_linear(
+        upper, right, (low / size, high / size), method="bvls", tol=1e-12, max_iter=10 * len(side)
+    )
+    return np.asarray(found.x * size)
+
+
 # --- derivatives ----------------------------------------------------------------------------------------------------------
 def simulate_moves(
     fit: Fit, estimates: Sequence[Estimate], moves: Sequence[Sequence[Vector]]
-) -> Iterator[tuple[list[dict[int, Vector]], list[float]]]:
+) -> Iterator[tuple[list[Samples], list[float]]]:
     """Simulates every estimate again and, in the steps of that simulation, the points at its `moves` of q: yields by estimate the
     samples at these points and their costs."""
     requests = [r for p, own in zip(estimates, moves, strict=True) for r in p.beside(own)]
@@ -98,7 +112,7 @@ def simulate_moves(
 
 def differentiate(
     fit: Fit, estimates: Sequence[Estimate], only: Sequence[Sequence[int]] | None = None, size: float = DIFFERENCE_STEPS[0]
-) -> list[tuple[float, Vector, dict[int, Vector]]]:  # fmt: skip
+) -> list[tuple[float, Vector, Samples]]:  # fmt: skip
     """Sets `columns` of every estimate, or only the columns `only` (one list of numbers for each estimate).
 
     Returns for every estimate the best of the points inside its bounds that were simulated for it: (cost, q, samples).

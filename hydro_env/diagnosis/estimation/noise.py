@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["WINDOW_S", "effective_samples", "noise_floor"]
-
 #: Length of the windows, s, about as long as the memory of a shaft with a leaky motor.
 WINDOW_S = 0.15
 

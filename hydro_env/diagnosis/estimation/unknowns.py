@@ -17,16 +17,11 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, parameter_of
 from ...plant.parameters import SCALINGS
 
-__all__ = [
-    "SCALED_TOGETHER", "Unknown", "base_unknown", "bases_of", "effect_starts", "effect_unknowns", "given_unknown", "less_taken",
-    "limited_by_effects", "scaled", "within",
-]  # fmt: skip
-
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range): data sheets leave as much
 #: open; and of friction, which dirt and wear change by factors.
 PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
 #: Base parameters that an effect of the catalogue adds to may be larger by this factor only, a standard deviation of the others'
-#: priors: more has a name there.
+#: priors, exp(`PRIOR_SPREAD`): more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
 #: First looks at an effect: sizes over the typical one, so near to each other that a step (`STEP_FACTORS`) leads from one to the
@@ -99,11 +94,6 @@ class Unknown:
     def usual(self) -> tuple[float, float]:
         """The plausible values within one scale of the centre."""
         return max(self.value(-1.0), self.low), min(self.value(1.0), self.high)
-
-    def at_bound(self, q: float) -> bool:
-        """Whether the estimate sits at the end of what is plausible."""
-        low, high = self.bounds
-        return q <= low + 1e-3 * (high - low) or q >= high - 1e-3 * (high - low)
 
 
 def limited_by_effects() -> set[str]:

@@ -11,10 +11,8 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Mapping, RigLog
 from ...measured.mapping import LINES
-from .duration import check_duration
+from ..estimation.uncertainty import SHORTEST_S, STRETCH_S
 from .parts import Part, overlap, read_parts
-
-__all__ = ["read_logs"]
 
 #: A channel stands still if its speed (RMS) is below this share of the other channel's peak: what noise and a shared base move.
 STANDS_STILL = 0.02
@@ -36,9 +34,9 @@ def read_logs(
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
-    check_duration(parts, "fit")
+    _check_duration(parts, "fit")
     if proofs:
-        check_duration(proofs, "held-out")
+        _check_duration(proofs, "held-out")
     return parts, proofs
 
 
@@ -107,3 +105,15 @@ def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
                 f"{parts[0].label}: the command of channel {c + 1} is zero throughout{moves}; "
                 "record the signal that drives the valve"
             )
+
+
+def _check_duration(parts: Sequence[Part], what: str) -> None:
+    """InputError if logs, `what` they are ("fit", "held-out"), are too short in all."""
+    lasts = sum(part.seconds for part in parts)
+    if lasts < (1.0 - 1e-6) * SHORTEST_S:
+        logs = ", ".join(part.label for part in parts)
+        raise InputError(
+            f"{logs}: the {what} logs last {lasts:.2g} s in all, at least {SHORTEST_S:g} s are needed: "
+            f"{SHORTEST_S / STRETCH_S:.0f} stretches of {STRETCH_S:g} s, each longer than the rig's memory, are the fewest that "
+            "give a 95 % interval; record longer, 10 s or more is good"
+        )

@@ -22,11 +22,10 @@ from ...measured import Mapping, RigLog, load_mapping, read_log
 from ...measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
-__all__ = ["Part", "filled", "overlap", "read_parts", "timed"]
-
 #: The windows of a log of which no part is named.
 ALL = [(-np.inf, np.inf)]
-#: Commands of uneven logs are held on a grid of about this step, s: within it the mean of a command does what the command does.
+#: Commands of uneven logs are held on a grid of about this step, s, a quarter of the time constant L / R of the paper's coil:
+#: within it the mean of a command does what the command does.
 FINE_S = 2.5e-4
 
 
@@ -104,9 +103,8 @@ def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Par
     both = recorded.command_V, np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
     held = np.array([recorded.held(np.nan_to_num(values), lead, even, finer)[fine] for values in both])
     load, late = (None if values is None else values[rows] for values in (again.load, again.late))
-    return replace(
-        part, held=held, log=replace(part.log, command_V=again.command_V[rows], load=load, late=late)
-    )
+    log = replace(part.log, command_V=again.command_V[rows], load=load, late=late)
+    return replace(part, held=held, log=log)
 
 
 def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:

@@ -11,14 +11,12 @@ import numpy as np
 
 from ...measured import RigLog
 
-__all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
-
 #: Beyond this length a log is looked at in windows, s; length and number of the windows: two logs of that length are diagnosed in
 #: a minute, and are as long as those of the blind trials.
 LONG_S = 120.0
 WINDOW_S, WINDOWS = 12.0, 2
 #: How long a rig must have been quiet to be at rest, s, and what does not count where it was not: more than the shaft remembers
-#: (see `duration`), and five times that.
+#: (see `estimation.uncertainty`), and five times that.
 QUIET_S, WARM_S = 0.3, 1.0
 
 #: Moves that count in a second, in standard deviations of the signal: ten steps from end to end.

@@ -6,7 +6,7 @@ which only command and speed (and perhaps pressure) are known. Everything after 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,14 +20,11 @@ from ...plant.catalogue.form_corrections import follows
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
-__all__ = [
-    "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "SI", "UNITS", "Joined", "Segment", "Segments",
-    "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
-]  # fmt: skip
-
+#: What was simulated of each channel: samples (n,) in the order of its segments.
+Samples = dict[int, np.ndarray]
 #: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
-#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`input.duration`).
+#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`estimation.uncertainty`).
 BLOCK_S = 0.1
 #: Signals that a model may predict, with the unit they are shown in and its size in SI.
 UNITS = {
@@ -128,6 +125,10 @@ class Segment:
         """Measured less simulated (n,), 0 where a row does not count."""
         return np.where(self.used, self.filled - simulated[self.place], 0.0)
 
+    def left(self, simulated: np.ndarray) -> np.ndarray:
+        """Measured less simulated over the rows that count."""
+        return (self.measured - simulated[self.place])[self.used]
+
 
 @dataclass(frozen=True)
 class Joined:
@@ -141,13 +142,25 @@ class Joined:
     signal: np.ndarray
     signals: tuple[str, ...]
 
+    def error(self, simulated: np.ndarray) -> np.ndarray:
+        """Measured less simulated (n,), 0 where a row does not count."""
+        return np.where(self.used, self.filled - simulated, 0.0)
+
 
 class Segments(list[Segment]):
     """The segments of a channel, in the order of their places."""
 
     @cached_property
+    def by_signal(self) -> dict[str, list[Segment]]:
+        """The segments of each signal, in the order of the logs."""
+        return {
+            signal: [s for s in self if s.signal == signal]
+            for signal in dict.fromkeys(s.signal for s in self)
+        }
+
+    @cached_property
     def joined(self) -> Joined:
-        signals = tuple(dict.fromkeys(s.signal for s in self))
+        signals = tuple(self.by_signal)
         return Joined(
             np.concatenate([s.filled for s in self]),
             np.concatenate([s.used for s in self]),
@@ -182,7 +195,23 @@ class RigModel:
     ) -> None:  # fmt: skip
         self.model, self.parts, self.progress, self.without = model, parts, progress, without
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, Segments] = measured_segments(parts, self.channels, signals, every_row)
+        self.segments = {c: Segments(self._measured(c, signals, every_row)) for c in self.channels}
+
+    def _measured(self, channel: int, signals: Sequence[str], every_row: bool) -> Iterator[Segment]:
+        """The measurements of a channel, which lie one behind the other in a vector."""
+        place = 0
+        for number, part in enumerate(self.parts):
+            log = part.log
+            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
+            rows, period = np.arange(0, len(log), step), log.period * step
+            late = None if log.late is None else log.late[rows] / log.period
+            for signal in (s for s in signals if log.has(s, channel)):
+                values = log.get(signal)
+                assert values is not None
+                own, where = values[rows, channel], slice(place, place + rows.size)
+                inside = part.inside[rows]
+                yield Segment(number, channel, signal, own, rows, inside, period, where, late, part.finer)
+                place = where.stop
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
@@ -192,7 +221,7 @@ class RigModel:
         """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
         raise NotImplementedError
 
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+    def predict(self, requests: Sequence[Request]) -> list[Samples]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
         raise NotImplementedError
 
@@ -261,27 +290,3 @@ def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:
     """An effect of the catalogue with the sizes that are usual on this rig; `channel` as in `Request`. First looks stand where
     many logs have shown them to lead to a minimum, so they do not move with what is about as large as on the paper's rig."""
     return scales_of(rig.model, channel).rough.effect(CATALOGUE[name])
-
-
-def measured_segments(
-    parts: Sequence[Part], channels: Sequence[int], signals: Sequence[str], every_row: bool
-) -> dict[int, Segments]:
-    """The measurements of every channel as segments that lie one behind the other in a vector."""
-    found: dict[int, Segments] = {}
-    for channel in channels:
-        place, found[channel] = 0, Segments()
-        for number, part in enumerate(parts):
-            log = part.log
-            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
-            rows, period = np.arange(0, len(log), step), log.period * step
-            late = None if log.late is None else log.late[rows] / log.period
-            for signal in (s for s in signals if log.has(s, channel)):
-                values = log.get(signal)
-                assert values is not None
-                own, where = values[rows, channel], slice(place, place + rows.size)
-                known = part.inside[rows]
-                found[channel].append(
-                    Segment(number, channel, signal, own, rows, known, period, where, late, part.finer)
-                )
-                place = where.stop
-    return found

@@ -16,9 +16,7 @@ from ...plant import CATALOGUE, PARAMETERS, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ...units import RPM
 from ..input.parts import Part
-from .base import UNITS, Request, RigModel, given_parameters, view
-
-__all__ = ["DynamicRig"]
+from .base import UNITS, Request, RigModel, Samples, given_parameters, view
 
 #: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
 #: With more in the fit its costs become rough: it takes more simulations than it saves time for.
@@ -27,11 +25,13 @@ TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
-#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks.
+#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks
+#: (docs/evidence/notes.md).
 FOLLOWING_BLOCK = 4 * BLOCK
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
-#: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
+#: Bytes of inputs of batches that are kept, about: those of eight lanes of 12 s at 1 kHz take 3 MB, and one request for all
+#: candidates has some thirty batches.
 MAX_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
@@ -118,7 +118,7 @@ class DynamicRig(RigModel):
         ]
 
     # --- simulation -----------------------------------------------------------------------------------------------------
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+    def predict(self, requests: Sequence[Request]) -> list[Samples]:
         # Where nothing ties the channels together, a rig is two single channels, of which many are asked for again and again.
         numbers: dict[tuple[object, ...], int] = {}
         single: list[Request] = []
@@ -149,7 +149,7 @@ class DynamicRig(RigModel):
         like = [None] * 2 if request.like is None else self._apart(request.like)
         return [Request(c, request.on(c), one) for c, one in zip(self.channels, like, strict=False)]
 
-    def _predict(self, requests: Sequence[Request], first: Sequence[int]) -> list[dict[int, np.ndarray]]:
+    def _predict(self, requests: Sequence[Request], first: Sequence[int]) -> list[Samples]:
         results = [{c: np.empty(self.segments[c][-1].place.stop) for c in self._seen(r)} for r in requests]
         families: dict[int, list[int]] = {}
         for n, leader in enumerate(first):
@@ -178,9 +178,8 @@ class DynamicRig(RigModel):
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
                 width = FOLLOWING_BLOCK if self.followed else BLOCK
-                batches += [
-                    _Batch(effects, period, lanes[n : n + width]) for n in range(0, len(lanes), width)
-                ]
+                every = (lanes[n : n + width] for n in range(0, len(lanes), width))
+                batches += [_Batch(effects, period, own) for own in every]
         return batches
 
     def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
@@ -243,13 +242,10 @@ class DynamicRig(RigModel):
     def _sides(self, number: int, request: Request) -> list[Side]:
         return [(number, c) for c in (0, 1) if self._whole(request) or request.channel == c]
 
-    def _run(
-        self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]
-    ) -> list[int]:
+    def _run(self, batch: _Batch, requests: Sequence[Request], results: list[Samples]) -> list[int]:
         """Simulates the lanes of a batch and puts what they show into `results`, by request; which of these diverged."""
-        every_side = [
-            (lane, side, n, c) for lane, (_, rig) in enumerate(batch.lanes) for side, (n, c) in enumerate(rig)
-        ]
+        rigs = enumerate(rig for _, rig in batch.lanes)
+        every_side = [(lane, side, n, c) for lane, rig in rigs for side, (n, c) in enumerate(rig)]
         # Which channel each side of each lane plays.
         plays = np.tile([0, 1], (len(batch.lanes), 1))
         for lane, side, _, c in every_side:
@@ -281,9 +277,8 @@ class DynamicRig(RigModel):
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns the step from one row that
         is there to the next, the signals (rows, lanes, 2), and what diverged (lanes, 2)."""
         rows = [len(part.log) * part.finer for part in self.parts]
-        lanes = tuple(
-            (log, rows[log], *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
-        )
+        both = zip(batch.lanes, plays.tolist(), strict=True)
+        lanes = tuple((log, rows[log], *sides) for (log, _), sides in both)
         make = self._new_inputs if self.followed else self._inputs  # many lanes are too much to keep
         inputs = make(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}

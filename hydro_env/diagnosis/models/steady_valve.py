@@ -13,17 +13,16 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
+from ...plant.catalogue.effect import arguments, called_by
 from ..input.parts import Part, filled
-from .array_laws import apply_laws, argument, elementwise
-from .base import Request, RigModel, given_parameters
-
-__all__ = ["SteadyValve"]
+from .base import Request, RigModel, Samples, given_parameters
 
 #: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
 SUPPORTED = (
@@ -108,8 +107,8 @@ class SteadyValve(RigModel):
         return alpha * np.nan_to_num(part.log.command_V[:, channel]) / (resistance * spring)
 
     # --- simulation -----------------------------------------------------------------------------------------------------
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+    def predict(self, requests: Sequence[Request]) -> list[Samples]:
+        results: list[Samples] = [{} for _ in requests]
         groups: dict[tuple[int, frozenset[str]], list[int]] = {}
         for number, request in enumerate(requests):
             for channel in self.channels if request.channel is None else (request.channel,):
@@ -194,3 +193,41 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
         loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
         out[:, row] = loop[:, 0]
     return out
+
+
+# --- the catalogue's laws on whole arrays: samples are evaluated rather than integrated --------------------------------------
+@cache
+def elementwise(law: Callable[..., float]) -> Callable[..., Any]:
+    """A law of the catalogue, which is written for numbers, as a compiled function of arrays."""
+    from numba import vectorize
+
+    for helper in called_by(law):
+        _callable_when_compiled(helper)
+    return vectorize(law)
+
+
+@cache
+def _callable_when_compiled(helper: Callable[..., float]) -> None:
+    """Has compiled functions call a plain one."""
+    from numba.extending import register_jitable
+
+    register_jitable(helper)
+
+
+def apply_laws(quantity: str, value: np.ndarray, effects: list[str], known: Mapping[str, Any]) -> np.ndarray:
+    """`value` passed through the laws that these effects have for `quantity`.
+
+    `known` holds signals, base parameters and "effect.parameter" values that broadcast against `value`.
+    """
+    for name in effects:
+        effect = CATALOGUE[name]
+        law = effect.laws.get(quantity)
+        if law is not None:
+            value = elementwise(law)(value, *(argument(effect, a, known) for a in arguments(law)[1:]))
+    return value
+
+
+def argument(effect: Effect, name: str, known: Mapping[str, Any]) -> Any:
+    """What an argument of a law stands for: the effect's own parameter or state, a signal, or a base parameter."""
+    own = f"{effect.name}.{name}"
+    return known[own] if own in known else known[name]

@@ -1,21 +1,39 @@
-"""The report: a page that needs no network, for a manager (first sentence, first picture) and an engineer (the rest)."""
+"""The report: a page that needs no network, for a manager (first sentence, first picture) and an engineer (the rest), and its
+pictures, inline SVG with their captions."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from datetime import date
 from importlib.resources import files
+from typing import Any
+
+import numpy as np
 
 from ... import __version__
-from ...pages import render
+from ...pages import COLOURS, figure, render, svg
 from ...plant import CATALOGUE
+from ..models.base import Segment
+from ..stages.localisation import Location
 from ..stages.next_experiment import NextExperiment
+from ..stages.screening import detectable, hidden_by_calibration
 from ..stages.values import known_parameters
 from ..state import State
-from . import pictures, statements
+from . import statements as say
 from . import wording as words
 
-__all__ = ["report_page"]
+#: Points of a trace in a picture: one for each pixel of its width.
+POINTS = 900
+#: Signals that the calibrated model leaves off by this many times the noise have a picture.
+FAR_OFF = 2.0
+#: Beside errors of this many times the noise its band, of four standard deviations, takes less than half of a picture: what is
+#: left then has axes of its own.
+BAND_INVISIBLE = 5.0
+#: Room for numbers and a label on the left of a picture, inches.
+LEFT = 0.95
+_COLOURS = {"before": COLOURS[1], "calibrated": COLOURS[5], "after": COLOURS[0]}
+_ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
 
 
 def report_page(
@@ -24,9 +42,82 @@ def report_page(
     """The HTML page."""
     return render(
         files(__package__).joinpath("page.html"),
-        title=f"Diagnosis of {statements.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
-        state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=statements, words=words,
-        catalogue=CATALOGUE, head=statements.headline(state), columns=statements.error_columns(state),
-        parameters=[(p, statements.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
-        traces=pictures.traces(state), maps=pictures.maps(state),
+        title=f"Diagnosis of {say.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
+        state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=say, words=words,
+        catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
+        parameters=[(p, say.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
+        traces=traces(state), maps=maps(state), seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
     )  # fmt: skip
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------------
+def traces(state: State) -> list[tuple[str, Any]]:
+    """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
+    other signal that calibration leaves far off."""
+    proof, first = state.proofs.held_out, say.headline(state).channel
+    by_channel = [{s.signal: s for s in proof.rig.segments[c][::-1]} for c in proof.rig.channels]
+    by_channel.sort(key=lambda own: own["speed"].channel != first)
+    others = [s for own in by_channel for s in own.values() if s.signal != "speed"]
+    entries = [proof.errors[s.channel, s.signal] for s in others]
+    far = [s for s, e in zip(others, entries, strict=True) if e["calibrated"] > FAR_OFF * e["noise"]]
+    return [_trace(state, s) for s in (*(own["speed"] for own in by_channel), *far)]
+
+
+def _trace(state: State, segment: Segment) -> tuple[str, Any]:
+    proof, channel, keep = state.proofs.held_out, segment.channel, segment.used
+    unit, size = say.unit_of(proof.rig, segment.signal, channel)
+    name, log = words.SIGNALS[segment.signal], proof.rig.parts[segment.log].log
+    entry, every = proof.errors[channel, segment.signal], slice(None, None, max(1, keep.size // POINTS))
+    time = log.time_s[segment.rows][every]
+    apart = max(entry["before"], entry["calibrated"]) > BAND_INVISIBLE * entry["noise"]
+    drawing, axes = figure(3 if apart else 2, height=2.1, left=LEFT)
+    measured = np.where(keep, segment.measured, np.nan) / size
+    axes[0].plot(time, measured[every], color=COLOURS[4], label="measured", linewidth=2.2)
+    errors: dict[str, np.ndarray] = {}
+    for model, colour in _COLOURS.items():
+        trace = proof.traces[model][channel][segment.place] / size
+        errors[model] = measured - trace
+        if model != "calibrated":
+            shown = np.where(keep, trace, np.nan)[every]
+            axes[0].plot(time, shown, color=colour, label=model)
+        for axis in axes[1:] if model == "after" else axes[1:2]:
+            axis.plot(time, errors[model][every], color=colour, label=model, linewidth=1.0)
+    for axis, shown in zip(axes[1:], (np.array([*errors.values()]), errors["after"]), strict=False):
+        axis.axhspan(
+            -2.0 * entry["noise"], 2.0 * entry["noise"], color=COLOURS[4], alpha=0.25, label="noise, 2 standard deviations"
+        )  # fmt: skip
+        # Limits that a few far larger events do not set.
+        if (finite := np.abs(shown[np.isfinite(shown)])).size:
+            reach = max(1.15 * float(np.quantile(finite, 0.998)), 3.0 * entry["noise"])
+            axis.set_ylim(-reach, reach)
+        axis.set_ylabel(f"error, {unit}")
+    axes[0].set_ylabel(f"{name}, {unit}")
+    axes[-1].set_xlabel("time, s")
+    for axis in axes:
+        axis.legend(ncols=4, **_ABOVE)
+    caption = (
+        f"Channel {channel + 1}, {name} on the held-out log {log.name}: measured and simulated; below, the residual (measured "
+        "minus simulated)" + (", last that of the final model alone" if apart else "")
+    )
+    return caption, svg(drawing, f"{name} of channel {channel + 1} and its error")
+
+
+def maps(state: State) -> list[tuple[str, Any]]:
+    """For the two locations that hold most of the residual: the error over the quantity that its equation depends on."""
+    return [_map(p) for p in say.shown_locations(state)[:2]]
+
+
+def _map(location: Location) -> tuple[str, Any]:
+    form, where = location.shape, f"{words.equation(location.equation)} of channel {location.channel + 1}"
+    drawing, (axis,) = figure(1, height=2.0, left=LEFT)
+    x, y, spread = np.array(form.points).reshape(-1, 3).T
+    axis.axhline(0.0, color=COLOURS[4], linewidth=0.8)
+    axis.errorbar(x, y, 2.0 * spread, color=COLOURS[1], marker="o", markersize=3.5, capsize=2)
+    axis.set_xlabel(form.over)
+    axis.set_ylabel("\n".join(textwrap.wrap(f"residual: {form.error}", 22)))
+    caption = (
+        f"{where[0].upper()}{where[1:]}: residual of the calibrated model over the quantity that it depends on (with 95 % "
+        f"intervals); a curve explains {100 * form.explains:.0f} % of it, {100 * form.with_direction:.0f} % with separate curves "
+        "for rising and falling"
+    )
+    return caption, svg(drawing, f"where channel {location.channel + 1} errs")

@@ -11,18 +11,12 @@ from ..models.base import RigModel
 from ..stages.candidates import Candidate
 from ..stages.localisation import Location
 from ..stages.naming import NamedEffect
-from ..stages.screening import detectable, hidden_by_calibration
+from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
 from ..state import State
 from . import wording as words
-
-__all__ = [
-    "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
-    "headline", "hidden_by_calibration", "log_names", "places", "ranking", "remaining",
-    "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
-]  # fmt: skip
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
@@ -281,7 +275,6 @@ def ranking(state: State) -> list[Candidate]:
     for n in state.effects:
         for key in ((other, c) for other in n.indistinguishable_from for c in n.channels or (None,)):
             if key in last and not last[key].accepted:
-                last[key] = replace(
-                    last[key], outcome=f"as good: indistinguishable from {words.plain(n.name)}"
-                )
+                outcome = f"as good: indistinguishable from {words.plain(n.name)}"
+                last[key] = replace(last[key], outcome=outcome)
     return sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))

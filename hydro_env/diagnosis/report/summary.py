@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from ..stages.naming import NamedEffect
 from ..stages.next_experiment import NextExperiment
 from ..stages.screening import detectable
+from ..stages.validation import AT_NOISE
 from ..stages.values import known_parameters
 from ..state import State
 from . import statements as say
 from . import wording as words
-
-__all__ = ["summary"]
 
 #: Lines at most: those of a small terminal.
 LINES = 20
@@ -69,7 +68,7 @@ def _errors(state: State) -> list[str]:
     lines, quiet = [f"  {'held-out logs, RMS error':<29}{heads}"], []
     for s in say.errors_of(state.proofs.held_out):
         name, e = f"{s.name} {s.channel + 1}", s.errors
-        if max(e["before"], e["calibrated"], e["after"]) < say.AT_NOISE * e["noise"]:
+        if max(e["before"], e["calibrated"], e["after"]) < AT_NOISE * e["noise"]:
             quiet.append(name)
             continue
         row = "".join(f"{e.get(model, e['after']):{width}.3g}" for model, _, width in columns)

@@ -13,11 +13,6 @@ from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
 from ..stages.values import Interval
 
-__all__ = [
-    "KEY_UNITS", "SIGNALS", "equation", "interval", "known", "listed", "number", "of_command", "plain", "title", "unit_of",
-    "where",
-]  # fmt: skip
-
 _EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
     "shaft": "the shaft (speed from pressure and load)", "lines": "the lines (mean of both line pressures)",
@@ -99,9 +94,8 @@ def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
         return f"{title(effect)}: {CATALOGUE[effect].parameter(own).title}"
     text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
-        stroke = (
-            model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
-        )
+        alpha, rated, resistance, spring = (model.value(n, c) for n in ("alpha", "u_rated", "R", "k"))
+        stroke = alpha * rated / (resistance * spring)
         text += f" ({number(value * stroke / LPM)} l/min at full command)"
     return text
 

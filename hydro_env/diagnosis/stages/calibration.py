@@ -11,34 +11,22 @@ import numpy as np
 from ...errors import InputError, nearest
 from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
-from ..estimation import (
-    Estimate,
-    Fit,
-    Unknown,
-    base_unknown,
-    given_unknown,
-    joined,
-    limited_by_effects,
-    noise_of,
-    restart_friction,
-    solve,
-    within,
-)
+from ..estimation.estimate import Estimate, joined
+from ..estimation.fit import Fit, noise_of
+from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
+from ..estimation.local_minima import restart_friction
+from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
 from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats
 from ..settings import Settings
 from .row_times import without_outliers
 from .screening import Screening
 
-__all__ = [
-    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "check_chosen", "fit_as_given", "run",
-]  # fmt: skip
-
 #: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
 Chosen = Mapping[str, tuple[float, float] | None]
 
-#: Iterations of the calibration: each step of differences (`DIFFERENCE_STEPS`) six times.
-ITERATIONS = 18
+#: Iterations of the calibration: each step of differences six times.
+ITERATIONS = 6 * len(DIFFERENCE_STEPS)
 #: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
 

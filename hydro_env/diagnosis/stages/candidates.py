@@ -8,18 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, Unknown
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.unknowns import Unknown
 from ..logs import Estimates, Logs, place_of
-
-__all__ = [
-    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
-    "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
-]  # fmt: skip
 
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
+TOO_LITTLE = "explains too little at first look"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished: nobody would look for so little.
 NEUTRAL_SHARE = 0.02
 #: The round under which candidates are listed that were judged after the forward rounds.
@@ -73,14 +71,16 @@ class Accepted:
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`)."""
+class Correction:
+    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`); of one
+    that stayed how far it fell (`fall`)."""
 
     effect: str
     channel: int | None
     correction: str
     estimate: Estimate
     needed: float
+    fall: float = 0.0
 
     @property
     def score(self) -> float:
@@ -100,7 +100,7 @@ class Selection:
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    forms: Mapping[Estimate, Attempt | None] = field(default_factory=dict)
+    forms: Mapping[Estimate, Correction | None] = field(default_factory=dict)
 
     def in_best_form(self) -> Estimates:
         """The estimates, each with its best correction of form where that explains more."""

@@ -23,8 +23,6 @@ from .calibration import fit_as_given
 from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
-__all__ = ["implausible", "run"]
-
 #: Units in which a signal is really recorded.
 _UNITS = {
     "speed": ("rpm", "rad/s", "deg/s"), "pressure": ("bar", "kPa", "Pa", "MPa", "psi"), "current": ("A", "mA"),
@@ -47,6 +45,8 @@ _SUPPLY = 1.2
 _LESS = 4.0
 #: Fewest rows that are compared.
 _ROWS = 100
+#: Correlation and ratio of sizes of a signal and the model's, by signal and channel.
+Likes = dict[tuple[str, int], tuple[float, float]]
 _HINT = "give the right unit in a mapping, or a model of this machine"
 
 
@@ -74,7 +74,7 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     if not rig.has_hidden_states:  # the steady-valve model takes its scale from the log
         return []
     found: list[Finding] = []
-    likes: dict[tuple[str, int], tuple[float, float]] = {}
+    likes: Likes = {}
     for channel in rig.channels:
         for signal in _compared(rig, channel):
             like = likes[signal, channel] = _alike(_pair(rig, given, channel, channel, signal))
@@ -91,15 +91,15 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
 
 def _compared(rig: RigModel, channel: int) -> list[str]:
     """The signals of a channel that are compared in size and sign."""
-    return [s for s in dict.fromkeys(s.signal for s in rig.segments[channel]) if s not in LEVEL_FREE]
+    return [s for s in rig.segments[channel].by_signal if s not in LEVEL_FREE]
 
 
 def _pair(rig: RigModel, given: Estimates, own: int, other: int, signal: str) -> np.ndarray:
     """Measured samples of channel `own` and the model's of channel `other` (2, n), over all logs."""
     both = [np.zeros((2, 0))]
-    by_log = {s.log: s for s in rig.segments[other] if s.signal == signal}
-    for mine in rig.segments[own]:
-        if mine.signal == signal and mine.log in by_log:
+    by_log = {s.log: s for s in rig.segments[other].by_signal.get(signal, ())}
+    for mine in rig.segments[own].by_signal.get(signal, ()):
+        if mine.log in by_log:
             values = given[other].simulated[other][by_log[mine.log].place]
             both.append(np.array([mine.measured, values])[:, mine.used & np.isfinite(values)])
     return np.concatenate(both, axis=1)
@@ -145,7 +145,8 @@ def _supply(rig: RigModel) -> Iterator[Finding]:
     """A supply pressure of the model that the two lines do not have: they stand about half of it, and drain but never fill."""
     for channel in rig.channels:
         given = rig.given("pressure_dependent_flow.supply_pressure", channel)
-        sums = [2.0 * s.measured[s.used] for s in rig.segments[channel] if s.signal == "mean_line_pressure"]
+        own = rig.segments[channel].by_signal.get("mean_line_pressure", ())
+        sums = [2.0 * s.measured[s.used] for s in own]
         if not sums or not np.isfinite(given):
             continue
         seen = float(np.quantile(np.concatenate(sums), 0.9))
@@ -186,7 +187,7 @@ def _load(rig: RigModel) -> Iterator[Finding]:
             yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
 
-def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
+def _units(rig: RigModel, likes: Likes) -> Iterator[Finding]:
     """Signals whose size is off by the factor between two units."""
     for channel in rig.channels:
         # Pressures with many holes give no shaft; then the model of each signal is all there is.
@@ -205,9 +206,7 @@ def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> 
                 yield _unit(rig, signal, channel, ratio, meant, off < _SURE and abs(like) > 0.85)
 
 
-def _tied_units(
-    rig: RigModel, channel: int, likes: dict[tuple[str, int], tuple[float, float]]
-) -> Iterator[Finding]:
+def _tied_units(rig: RigModel, channel: int, likes: Likes) -> Iterator[Finding]:
     """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
 
     Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly. Where no unit fits it is

@@ -9,24 +9,22 @@ there is nothing to correct. Effects that the model as given has get their corre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, grow_horizon, solve
-from ..logs import Estimates, changed, distinct
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
+from ..estimation.local_minima import grow_horizon
+from ..estimation.unknowns import Unknown
+from ..logs import Estimates, distinct
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
-from .candidates import Attempt, Selection, penalty_per_parameter
-
-__all__ = [
-    "Correction", "Models", "attempts", "best_attempt", "correct", "correct_all", "given_on", "is_correction", "of_given", "run",
-    "with_correction",
-]  # fmt: skip
-
+from .candidates import Correction, Selection, penalty_per_parameter
 
 #: Iterations of a joint refit with a correction; the one that is kept goes as far as it goes.
 TRY_ITERATIONS = 8
@@ -36,17 +34,7 @@ MAX_CORRECTIONS = 2
 #: An effect, and its channel (None: the rig).
 Placed = tuple[str, int | None]
 #: No corrections that were tried.
-NONE: Mapping[Estimate, Attempt | None] = {}
-
-
-@dataclass(frozen=True)
-class Correction:
-    """A correction that stayed: of which effect, on which channel (None: the rig), and how far the cost of the fit logs fell."""
-
-    effect: str
-    correction: str
-    channel: int | None
-    fall: float
+NONE: Mapping[Estimate, Correction | None] = {}
 
 
 @dataclass(frozen=True)
@@ -66,11 +54,14 @@ class Models:
         """The estimates whose known parameters are reported."""
         return self.calibrated if self.final == self.given else self.final
 
-    def changed(self, change: Callable[[list[Estimate]], None]) -> Models:
-        """The same after a change of those that are reported."""
+    def with_twins(self) -> tuple[Models, list[Estimate]]:
+        """The same with copies of the estimates that are reported, and these; one that is several models' stays one."""
+        twins = {p: replace(p) for p in self.shown.values()}
         every = self.given, self.calibrated, self.named, self.final, self.placebo
-        given, calibrated, named, final, placebo = changed(change, self.shown.values(), *every)
-        return Models(given, calibrated, named, final, placebo, self.corrections)
+        given, calibrated, named, final, placebo = (
+            {c: twins.get(p, p) for c, p in own.items()} for own in every
+        )
+        return Models(given, calibrated, named, final, placebo, self.corrections), list(twins.values())
 
     def as_named(self) -> Models:
         """The same without the corrections of what is named."""
@@ -90,7 +81,7 @@ def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     fit = logs.fit
     able = fit.rig.has_hidden_states and fit.settings.uses("correct_form")
     for p in [p for p in distinct(found) if able and not fit.at_noise(p)]:
-        best: dict[Placed, Attempt] = {}
+        best: dict[Placed, Correction] = {}
         for t in sorted(attempts(fit, p, [], shared=False), key=lambda t: t.score):
             if t.score < p.cost:
                 best.setdefault((t.effect, t.channel), t)
@@ -98,7 +89,7 @@ def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
         for t in best.values():
             of = effect_in(fit.rig, t.correction, t.channel)
             better = t.estimate if better is p else with_correction(better, t.effect, of, t.channel)
-            every.append(Correction(t.effect, t.correction, t.channel, p.cost - t.estimate.cost))
+            every.append(replace(t, fall=p.cost - t.estimate.cost))
         solve(fit, [better] if best else [], SETTLE_ITERATIONS)
         found.update(dict.fromkeys(fit.channels_of(p), better))
     fit = fit.with_noise_seen_by(found) if every else fit
@@ -123,19 +114,15 @@ def is_correction(effect: str) -> bool:
     return CATALOGUE[effect].family == FAMILY
 
 
-def with_correction(
-    estimate: Estimate, effect: str, of: Effect | str, channel: int | None = None
-) -> Estimate:
-    """The estimate with a correction `of` one of its effects more, one of the paper's rig by its name; `channel` is the effect's,
-    where the estimate is the rig's.
+def with_correction(estimate: Estimate, effect: str, of: Effect, channel: int | None = None) -> Estimate:
+    """The estimate with a correction `of` one of its effects more; `channel` is the effect's, where the estimate is the rig's.
 
     Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
     """
     alone = channel if estimate.channel is None else None
-    described = CATALOGUE[of] if isinstance(of, str) else of
-    correction = described.name
+    correction = of.name
     repeated, added = follows(correction, effect), []
-    for p in described.parameters:
+    for p in of.parameters:
         if f"{correction}.{p.name}" in repeated:
             continue
         # The prior is as wide as a correction usually is: ridge regression, in other words.
@@ -149,7 +136,7 @@ def with_correction(
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Mapping[Estimate, Correction | None] = NONE
 ) -> tuple[Estimate, list[Correction]]:  # fmt: skip
     """The estimate with those corrections of its effects `named` (with their channels) and of given ones that pay for themselves;
     the estimate itself if none does. `known` are the best corrections of estimates for which they were tried.
@@ -168,7 +155,7 @@ def correct(
         if better.cost + best.needed >= estimate.cost or fit.gain(estimate, better) < best.needed:
             break
         solve(fit, [better], SETTLE_ITERATIONS)
-        kept.append(Correction(best.effect, best.correction, best.channel, estimate.cost - better.cost))
+        kept.append(replace(best, fall=estimate.cost - better.cost))
         estimate = better
     return estimate, kept
 
@@ -180,13 +167,13 @@ def given_on(fit: Fit, estimate: Estimate) -> list[Placed]:
     return list(dict.fromkeys(every))
 
 
-def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[Placed]) -> Attempt | None:
+def best_attempt(fit: Fit, estimate: Estimate, named: Sequence[Placed]) -> Correction | None:
     """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones;
     None if there is none."""
     return min(attempts(fit, estimate, named), key=lambda t: t.score, default=None)
 
 
-def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool = True) -> list[Attempt]:
+def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool = True) -> list[Correction]:
     """The estimates with a correction more of one of its effects `named` (with their channels) or of given ones, refitted. Those
     that several effects share and that repeat nothing of any are left out unless `shared`.
 
@@ -200,7 +187,7 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool
             if own_law and not fit.rig.has(correction, channel) and (correction, channel) not in present:
                 own = len(CATALOGUE[correction].parameters) - len(repeated)
                 more = with_correction(estimate, effect, effect_in(fit.rig, correction, channel), channel)
-                tries.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
+                tries.append(Correction(effect, channel, correction, more, penalty_per_parameter(fit) * own))
     first = estimate.channel is not None and not any(map(is_correction, estimate.effects()))
     again = {t.estimate: t.estimate.from_given().in_all_directions() for t in tries if first}
     every = [*(t.estimate for t in tries), *again.values()]
@@ -211,7 +198,7 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Mapping[Estimate, Attempt | None] = NONE
+    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Mapping[Estimate, Correction | None] = NONE
 ) -> tuple[Estimates, list[Correction]]:  # fmt: skip
     """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)

@@ -12,8 +12,6 @@ from ..logs import Estimates
 from ..models.base import RigModel, Segment
 from .shaft import given_shaft, shaft_of
 
-__all__ = ["eccentric", "runs_apart"]
-
 #: A line once per turn stands out if it is this many times the largest of the lines at these four other orders, which no part of
 #: a motor has: of noise one in 24,000 does. Less than this share of a speed of 500 rpm is below its usual noise.
 STANDS_OUT, ORDERS, MIN_LINE = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002
@@ -85,9 +83,8 @@ def _rate(s: Segment, simulated: np.ndarray) -> float | None:
         if np.isnan(seen).mean() > 0.1:
             continue
         seen = filled(seen) - np.nanmean(seen)
-        many = np.lib.stride_tricks.sliding_window_view(
-            simulated[start - reach : start + width + reach], width
-        )
+        around = simulated[start - reach : start + width + reach]
+        many = np.lib.stride_tricks.sliding_window_view(around, width)
         many = many - many.mean(axis=1, keepdims=True)
         like = many @ seen / np.sqrt(np.maximum((many * many).sum(axis=1) * (seen @ seen), 1e-30))
         best = int(np.argmax(like))

@@ -19,19 +19,20 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
-from ..estimation import Estimate, effective_samples, noise_floor
+from ..estimation.estimate import Estimate
+from ..estimation.noise import effective_samples, noise_floor
 from ..logs import Estimates
 from ..models.base import RigModel
 from .shaft import SHAFT, Shaft, given_shaft, shaft_of
 from .validation import AT_NOISE
-
-__all__ = ["Location", "Shape", "locate", "run", "shape"]
 
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 #: Steps to the shaft that explains measurement best: its equation is nearly linear in the three.
 SHAFT_STEPS = 8
 #: An equation is listed that has this share of what all of them leave above their noise: less is rounded to nothing.
 LISTED = 0.02
+#: Bins of the curve of an error: a picture and words only, no verdict depends on them.
+BINS = 15
 #: A regime is named if its mean square error is this many times that of all rows, and it holds neither next to nothing of them
 #: nor nearly all. Words only: nothing else depends on them.
 CONTRAST, MIN_ROWS, MAX_ROWS = 1.3, 0.03, 0.9
@@ -230,16 +231,14 @@ def _missing_flow(shaft: Shaft, simulated: dict[str, np.ndarray], numbers: dict[
     return missing / numbers["D"]
 
 
-def shape(
-    over: np.ndarray, error: np.ndarray, over_unit: str, error_unit: str, size: float, bins: int = 15
-) -> Shape:
+def shape(over: np.ndarray, error: np.ndarray, over_unit: str, error_unit: str, size: float) -> Shape:
     """The error as a curve over the quantity that its equation depends on: not physics, but what physics would have to give.
 
     `points` are [middle, mean, standard error] of bins with equally many rows; `explains` is the share of the error's
     power that the curve holds, `with_direction` the share that two curves hold, one for a rising and one for a falling quantity:
     much more means memory (hysteresis, play, lag). A small share of both means time, angle or another channel.
     """
-    edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, bins + 1)))
+    edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, BINS + 1)))
     number = np.clip(np.searchsorted(edges, over, side="right") - 1, 0, max(len(edges) - 2, 0))
     # Whether the quantity rises, by its last change: commands come in steps.
     change = np.sign(np.diff(over, prepend=over[:1]))

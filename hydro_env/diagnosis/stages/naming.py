@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, probability_of_gain
-from ..logs import Estimates
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.uncertainty import probability_of_gain
+from ..logs import Estimates, place_of
 from ..models.base import effect_in
 from .candidates import Accepted, Selection
 from .validation import AT_NOISE
 from .values import Interval, effect_values, row_of, widened_by_form
 from .verdict import Confirmed
-
-__all__ = ["NamedEffect", "name_effects", "run"]
 
 #: Values of the two channels that differ by less (relative) are one effect of both: two valves of a kind differ as much.
 SAME_VALUE = 0.15
@@ -42,9 +42,7 @@ class NamedEffect:
     @property
     def channel(self) -> str:
         """ "1", "2", "both" or "rig"."""
-        return (
-            "rig" if not self.channels else "both" if len(self.channels) == 2 else str(self.channels[0] + 1)
-        )
+        return "both" if len(self.channels) == 2 else place_of(self.channels[0] if self.channels else None)
 
     def as_dict(self) -> dict[str, Any]:
         return {

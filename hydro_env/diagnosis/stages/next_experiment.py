@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...plant.catalogue import separating_experiment
-from ..estimation import Estimate
+from ..estimation.estimate import Estimate
 from ..experiment_design import (
     SECONDS,
     Design,
@@ -31,12 +31,8 @@ from ..models.dynamic_rig import DynamicRig
 from ..state import State
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
-
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
-#: Candidates of a channel that compete where nothing is confirmed, the best by their gain: as many as it may have effects.
-OPEN = 3
 #: The model without any effect: the other one where a single candidate explains something.
 CALIBRATION = "calibration"
 #: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone.
@@ -122,11 +118,11 @@ def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
 
 
 def _best(state: State, channel: int | None) -> dict[str, Estimate]:
-    """Where nothing is confirmed: the candidates of a channel that explain most of it."""
+    """Where nothing is confirmed: the candidates of a channel that explain most of it, as many as it may have effects."""
     if state.verdict != "unknown" and not state.best_guess:
         return {}
-    tried = _tried(state, channel, worthwhile=True)
-    found = dict(sorted(tried.items(), key=lambda item: item[1].cost)[:OPEN])
+    tried, most = _tried(state, channel, worthwhile=True), state.logs.fit.settings.max_effects
+    found = dict(sorted(tried.items(), key=lambda item: item[1].cost)[:most])
     if len(found) == 1 and channel is not None and state.models.calibrated[channel].columns:
         found[CALIBRATION] = state.models.calibrated[channel]
     return found

@@ -13,15 +13,14 @@ from itertools import product
 
 import numpy as np
 
-from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
+from ..estimation.estimate import Estimate, Vector
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..logs import Estimates
 from ..models.base import effect_in
 from .calibration import Calibrated, as_given
 from .candidates import penalty
 from .screening import Screening
-
-__all__ = ["run"]
-
 
 EFFECT = "shaft_backlash"
 #: First looks, over most of what is plausible: shares of the known inertia that are behind the coupling, and its gap and
@@ -44,7 +43,7 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     for c, p in beside.items() if able else ():
         if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
             continue
-        if unexplained(fit, p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
+        if fit.unexplained(p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
             found[c] = one
     if not found:
         return calibrated
@@ -88,9 +87,8 @@ def _looks(fit: Fit, bare: Estimate, c: int, points: Vector) -> list[Estimate]:
     """The estimate with a backlash at each of `points` (n, 4), logarithms of its parameters, simulated."""
     effect, found = effect_in(fit.rig, EFFECT, c), []
     for point in np.exp(points):
-        start = {
-            p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(effect.parameters, point, strict=True)
-        }
+        both = zip(effect.parameters, point, strict=True)
+        start = {p.name: float(np.clip(v, p.low, p.high)) for p, v in both}
         found.append(bare.with_effect(effect, start, c))
     fit.evaluate(found)
     return found

@@ -17,12 +17,10 @@ from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
-from ..estimation import noise_floor
+from ..estimation.noise import noise_floor
 from ..input.parts import Part, timed
 from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments, view
-
-__all__ = ["settled", "without_outliers"]
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
 #: nothing of it is true, and of commands a whole row earlier half of that, where half a row is.

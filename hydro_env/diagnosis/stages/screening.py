@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ..estimation import Estimate, Fit, could_pay, effect_starts, joined
+from ..estimation.estimate import Estimate, joined
+from ..estimation.fit import Fit
+from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, Logs, place_of
-from ..models.base import effect_in
-
-__all__ = ["Screening", "detectable", "hidden_by_calibration", "run", "screen"]
+from ..models.base import Samples, effect_in
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what
 #: three parameters must pay for (`candidates.penalty`), the most that the size of an effect of the catalogue has.
@@ -76,7 +76,7 @@ class _Projector:
 
 def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:
     """Screens every candidate beside the calibrated model."""
-    settled = [c for c, p in calibrated.items() if not could_pay(logs.fit, p, c)]
+    settled = [c for c, p in calibrated.items() if not logs.fit.could_pay(p, c)]
     return screen(logs.fit, calibrated, logs.rig.candidates(), logs.seconds, earlier, settled)
 
 
@@ -114,7 +114,7 @@ def screen(
         c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
         for c, p in estimates.items()
     }
-    errors = {c: left[c](_error(fit, p, c)) for c, p in estimates.items()}
+    errors = {c: left[c](fit.rig.segments[c].joined.error(p.simulated[c])) for c, p in estimates.items()}
     found = []
     for (name, channel), starts in tries.items():
         channels, rows = fit.rig.channels if channel is None else (channel,), []
@@ -126,41 +126,27 @@ def screen(
         if rows:
             effect = effect_in(fit.rig, name, channel)
             gain, start, change = max(rows, key=lambda row: row[0])
-            medium = [each for _, size, each in rows if _is_medium(effect, size)] or [change]
-            found.append(_screening(name, channel, start, gain, medium[-1], noise))
+            medium = ([each for _, size, each in rows if _is_medium(effect, size)] or [change])[-1]
+            visible = sum(float(np.sum(noise[c](each) ** 2)) for c, each in medium.items())
+            unprojected = sum(float(np.sum((each * noise[c].weights) ** 2)) for c, each in medium.items())
+            found.append(Screening(name, channel, start, gain, visible, unprojected))
     return sorted(found, key=lambda k: -k.gain)
-
-
-def _screening(
-    effect: str, channel: int | None, start: dict[str, float], gain: float, medium: dict[int, np.ndarray],
-    noise: Mapping[int, _Projector],
-) -> Screening:  # fmt: skip
-    """The result for an effect that makes the changes `medium` at its medium size, by channel."""
-    size = sum(float(np.sum(noise[c](change) ** 2)) for c, change in medium.items())
-    unprojected = sum(float(np.sum((change * noise[c].weights) ** 2)) for c, change in medium.items())
-    return Screening(effect, channel, start, gain, size, unprojected)
 
 
 def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
     return all(start[p.name] == p.typical for p in effect.parameters if p.typical != p.nominal or p.starts)
 
 
-def _error(fit: Fit, estimate: Estimate, channel: int) -> np.ndarray:
-    return np.concatenate([s.error(estimate.simulated[channel]) for s in fit.rig.segments[channel]])
-
-
 def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     """By signal the RMS error, at least the noise."""
-    squares: dict[str, list[np.ndarray]] = {}
-    for s in fit.rig.segments[channel]:
-        squares.setdefault(s.signal, []).append(s.error(estimate.simulated[channel])[s.used] ** 2)
-    rms = {signal: float(np.sqrt(np.mean(np.concatenate(own)))) for signal, own in squares.items()}
-    return {signal: max(fit.noise[channel, signal], value) for signal, value in rms.items()}
+    found = {}
+    for signal, own in fit.rig.segments[channel].by_signal.items():
+        errors = np.concatenate([s.left(estimate.simulated[channel]) for s in own])
+        found[signal] = max(fit.noise[channel, signal], float(np.sqrt(np.mean(errors**2))))
+    return found
 
 
-def _gain(
-    fit: Fit, changes: dict[int, np.ndarray], errors: dict[int, np.ndarray], projectors: dict[int, _Projector]
-) -> float:
+def _gain(fit: Fit, changes: Samples, errors: Samples, projectors: dict[int, _Projector]) -> float:
     """Fall of the deviance if the change came with the best factor from 0 to 1.5."""
     square = sum(float(change @ change) for change in changes.values())
     if square <= 1e-12:

@@ -8,22 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import (
-    SETTLE_ITERATIONS,
-    Estimate,
-    Fit,
-    bases_of,
-    differentiate,
-    grow_horizon,
-    solve,
-    step_all,
-)
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
+from ..estimation.local_minima import grow_horizon
+from ..estimation.unknowns import bases_of
 from ..logs import Estimates
-from .candidates import Accepted, Attempt, Candidate, penalty
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Correction, judge, penalty
 from .form_correction import best_attempt
 from .screening import Screening
-
-__all__ = ["Search", "short_refit"]
 
 #: Iterations of a short refit: one to come near, one from there. Where simulating costs next to nothing there are more.
 SHORT_ITERATIONS, CHEAP_ITERATIONS = 2, 10
@@ -43,7 +36,7 @@ class Search:
     present: Estimates = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
-    forms: dict[Estimate, Attempt | None] = field(default_factory=dict)
+    forms: dict[Estimate, Correction | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.present = self.present or dict(self.calibrated)
@@ -62,11 +55,7 @@ class Search:
         """Whether the present estimate is one of the whole rig."""
         return any(p.channel is None for p in self.present.values())
 
-    def restarted(self) -> Search:
-        """The search for another set of effects, from the calibrated estimates."""
-        return Search(self.fit, self.calibrated, self.screening, self.seconds)
-
-    def put(self, channel: int, estimate: Estimate) -> None:
+    def put(self, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
         self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
 
@@ -83,6 +72,22 @@ class Search:
         behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
         return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
 
+    def judged(
+        self, c: int | None, before: Estimate, refit: Estimate, number: int, outdone: bool = False
+    ) -> Candidate:
+        """Judges a refitted candidate of a channel (None: of the rig) beside `before`, and remembers what became of it; one that
+        is `outdone` by a better one is not accepted."""
+        gain = self.fit.gain(before, refit)
+        outcome = judge(self.fit, refit, refit.label, gain, c)
+        outcome = OUTDONE if outdone and outcome == ACCEPTED else outcome
+        self.record(refit.label, c, number, gain, outcome, refit)
+        return self.candidates[-1]
+
+    def drop(self, one: Accepted, gain: float, outcome: str, estimate: Estimate) -> None:
+        """Takes away again what was accepted, after the forward rounds."""
+        self.accepted.remove(one)
+        self.record(one.effect, one.channel, AFTER_ROUNDS, gain, outcome, estimate)
+
     # --- refits -----------------------------------------------------------------------------------------------------------
     def settle(self, estimates: Sequence[Estimate]) -> None:
         """Improves estimates as far as they go, in place."""
@@ -90,7 +95,7 @@ class Search:
         if self.fit.rig.has_hidden_states:
             solve(self.fit, grow_horizon(self.fit, estimates), SETTLE_ITERATIONS)
 
-    def form_of(self, estimate: Estimate) -> Attempt | None:
+    def form_of(self, estimate: Estimate) -> Correction | None:
         """The estimate with the correction of form that explains most of what it leaves, with its price, if there is one."""
         if estimate not in self.forms:
             self.forms[estimate] = best_attempt(self.fit, estimate, estimate.placed_effects())

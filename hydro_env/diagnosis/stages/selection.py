@@ -11,34 +11,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..estimation import (
-    SETTLE_ITERATIONS,
-    Estimate,
-    Fit,
-    best_on_early_window,
-    could_pay,
-    joined,
-    solve,
-    unexplained,
-)
+from ..estimation.estimate import Estimate, joined
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
+from ..estimation.local_minima import best_of_each, best_on_early_window
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
-from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
+from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
-from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
-from .search import Search, short_refit
-
-__all__ = ["better_set", "prefer_form", "run", "select"]
-
+from .search import CHEAP_ITERATIONS, Search, short_refit
 
 #: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
 #: This is successive halving (Karnin, Koren and Somekh 2013) by quarters: of some forty candidates 12 and of these 3 go on.
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full: a half, as above.
 WITHIN_REACH = 0.5
-#: Iterations of a full refit, one with each step of differences, and of one where simulating costs next to nothing.
-FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
+#: Iterations of a full refit, one with each step of differences.
+FULL_ITERATIONS = len(DIFFERENCE_STEPS)
 
 
 def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
@@ -80,7 +70,7 @@ def select(search: Search) -> Search:
     compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
-    other = search.restarted()
+    other = Search(search.fit, search.calibrated, search.screening, search.seconds)
     _search(other, not leads)
     return better_set(search, other)
 
@@ -127,9 +117,8 @@ def better_set(search: Search, other: Search) -> Search:
     if ahead < 0.0:
         best, rest = rest, best
     names = {(k.effect, k.channel) for k in rest.accepted}
-    best.accepted = [
-        k if (k.effect, k.channel) in names else replace(k, rival=abs(ahead)) for k in best.accepted
-    ]
+    own = ((k, (k.effect, k.channel) in names) for k in best.accepted)
+    best.accepted = [k if shared else replace(k, rival=abs(ahead)) for k, shared in own]
     best.candidates += [replace(k, outcome=OUTDONE) if k.accepted else k for k in rest.candidates]
     return best
 
@@ -137,13 +126,13 @@ def better_set(search: Search, other: Search) -> Search:
 def _worth_another(search: Search, c: int) -> bool:
     """Whether a channel has a residual left that is worth looking into and is no matter of the form of what was accepted."""
     fit, present = search.fit, search.present[c]
-    if not could_pay(fit, present, c):
+    if not fit.could_pay(present, c):
         return False
     named = [e for e in present.effects() if not is_correction(e)]
     if not fit.rig.has_hidden_states or not (named or given_on(fit, present)):
         return True
     # Beside given effects alone a curve may take up a missing one; which of them it is, is decided at the end (`prefer_form`).
-    return (not named and unexplained(fit, present, c)) or could_pay(fit, search.in_other_form(present), c)
+    return (not named and fit.unexplained(present, c)) or fit.could_pay(search.in_other_form(present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -189,10 +178,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
 
 def _ranked(fit: Fit, refits: Sequence[Estimate]) -> list[Estimate]:
     """The best estimate of each effect, best first."""
-    best: dict[str, Estimate] = {}
-    for p in sorted(refits, key=lambda p: p.cost + penalty(fit, p.label)):
-        best.setdefault(p.label, p)
-    return [*best.values()]
+    return best_of_each(refits, key=lambda p: p.cost + penalty(fit, p.label))
 
 
 def _gains(search: Search, c: int, refits: Sequence[Estimate]) -> dict[str, float]:
@@ -215,7 +201,7 @@ def _promising(
     own = [k for k in screening if k.channel == c and k.effect not in here]
     good = own if search.fit.rig.simulation_is_cheap else [k for k in own[:most] if k.gain > 0.0]
     for k in (k for k in own if k not in good):
-        search.record(k.effect, c, number, k.gain, "explains too little at first look")
+        search.record(k.effect, c, number, k.gain, TOO_LITTLE)
     return [search.present[c].extended(k.effect, k.start, c) for k in good]
 
 
@@ -226,7 +212,7 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
     """
     fit, presents, names = search.fit, {}, []
     for c, (best, *_) in refits.items():
-        if unexplained(fit, best, c) and unexplained(fit, search.in_other_form(best), c):
+        if fit.unexplained(best, c) and fit.unexplained(search.in_other_form(best), c):
             here = {n for n, on in search.present[c].placed_effects() if on in (None, c)}
             shows = {s.effect for s in search.screening if s.channel == c and s.shows}
             names.append([n for n in search.names if n in shows - here])
@@ -249,7 +235,7 @@ def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     solve(fit, [less], CHEAP_ITERATIONS)
     better = less.cost < present.cost and fit.gain(present, less) > 0.0
     if better:
-        search.put(c, less)
+        search.put(less)
         if all(map(is_correction, present.effects())):  # the calibration itself had ended in a local minimum
             search.calibrated = {**search.calibrated, **dict.fromkeys(fit.channels_of(less), less)}
     return better
@@ -260,18 +246,61 @@ def _accept_best(
 ) -> bool:
     """Judges the refitted candidates of a channel, the best one first, and accepts that, if it passes; whether it does. `alike`
     are the gains by effect when all had been refitted alike."""
-    fit, before, best = search.fit, search.present[c], refits[0]
-    gains = [fit.gain(before, p) for p in refits]
-    first, *others = (judge(fit, p, p.label, gain, c) for p, gain in zip(refits, gains, strict=True))
-    outcomes = [first, *(OUTDONE if other == ACCEPTED else other for other in others)]
-    for p, gain, outcome in zip(refits, gains, outcomes, strict=True):
-        search.record(p.label, c, number, gain, outcome, p)
-    accepted = first == ACCEPTED
-    if accepted:
-        competing, needed = search.competing(best.label, alike), penalty(fit, best.label)
-        search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
-        search.put(c, best)
-    return accepted or (first == VANISHED and _adopt_base(search, c, best))
+    before = search.present[c]
+    best, *_ = [search.judged(c, before, p, number, outdone=p is not refits[0]) for p in refits]
+    if best.accepted:
+        competing = search.competing(best.effect, alike)
+        search.accepted.append(Accepted(best.effect, c, best.gain, best.needed, competing, before))
+        search.put(refits[0])
+    return best.accepted or (best.outcome == VANISHED and _adopt_base(search, c, refits[0]))
+
+
+# --- effects of the whole rig -----------------------------------------------------------------------------------------------
+def rig_effect_leads(search: Search) -> bool:
+    """Whether an effect of the rig promises more at first look than the best effects of both channels together.
+
+    It then comes first: beside it, channels are searched for what they have, without it for what imitates it.
+    """
+    best: dict[int | None, float] = {}
+    for k in search.screening:
+        best[k.channel] = max(best.get(k.channel, 0.0), k.gain)
+    of_rig = best.pop(None, 0.0)
+    return of_rig > sum(best.values())
+
+
+def select_rig_effects(search: Search) -> None:
+    """Accepts the effect of the rig that explains most beside what the channels have, each refitted as far as it goes."""
+    fit, before = search.fit, joined(search.present)
+    tries: list[Estimate] = []
+    for one in (k for k in search.screening if k.channel is None):
+        if one.gain > penalty(fit, one.effect):
+            tries.append(before.extended(one.effect, one.start))
+        else:
+            search.record(one.effect, None, 1, one.gain, TOO_LITTLE)
+    if not tries:
+        return
+    short_refit(fit, tries)
+    solve(fit, tries, SETTLE_ITERATIONS)
+    first, *others = _ranked(fit, tries)
+    best = search.judged(None, before, first, 1)
+    if best.accepted:
+        search.accepted.append(Accepted(best.effect, None, best.gain, best.needed, without=before))
+        left = drop_vanished(search, first)
+        solve(fit, [left] if left is not first else [], SETTLE_ITERATIONS)
+        search.put(left)
+    for p in others:
+        search.judged(None, before, p, 1, outdone=True)
+
+
+def drop_vanished(search: Search, estimate: Estimate) -> Estimate:
+    """The estimate with those effects alone that did not vanish when one of the rig joined them: what an effect of the rig
+    explains is no channel's."""
+    left = estimate
+    for k in [*search.accepted]:
+        if k.channel is not None and is_neutral(estimate, k.effect, k.channel):
+            search.drop(k, 0.0, "vanishes beside an effect of the whole rig", estimate)
+            left = left.without(k.effect, k.channel)
+    return left
 
 
 # --- backward step ----------------------------------------------------------------------------------------------------------
@@ -293,8 +322,6 @@ def prefer_form(search: Search) -> None:
             alone = all(is_correction(effect) for effect, _ in left)
             if alone and fit.gain(form.estimate, search.in_other_form(present)) >= one.needed:
                 break  # beside given effects it pays in another form, as these do
-            outcome, gain = "another form of the others does better", fit.gain(less, present)
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
-            search.accepted.remove(one)
-            search.put(c, less)
+            search.drop(one, fit.gain(less, present), "another form of the others does better", present)
+            search.put(less)
             solve(fit, [less], SETTLE_ITERATIONS)

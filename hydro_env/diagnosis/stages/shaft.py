@@ -11,8 +11,6 @@ from scipy.signal import lfilter
 from ..input.parts import Part, filled
 from ..models.base import RigModel
 
-__all__ = ["SHAFT", "Shaft", "given_shaft", "shaft_of"]
-
 #: Base parameters of the shaft.
 SHAFT = ("D", "J", "B")
 #: Least viscous friction, N m s/rad, so that the filter has a time constant.

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..estimation import Estimate, intervals_of, refine
+from ..estimation.final_refinement import refine
+from ..estimation.uncertainty import intervals_of
 from ..logs import Logs
 from ..models.base import RigModel
 from .form_correction import Models
-
-__all__ = ["run", "settle", "undetermined"]
 
 #: A command that moves by less than this share of the rated one, a few steps of a converter, is constant.
 CONSTANT = 0.01
@@ -20,18 +19,18 @@ CONSTANT = 0.01
 
 def settle(logs: Logs, models: Models) -> Models:
     """Refines the estimates that are reported (`estimation.final_refinement`), before they are proved and given intervals."""
-    return models.changed(lambda estimates: refine(logs.fit, logs.fit.on(logs.fine), estimates))
+    models, shown = models.with_twins()
+    refine(logs.fit, logs.fit.on(logs.fine), shown)
+    return models
 
 
 def run(logs: Logs, models: Models) -> Models:
     """Sets the intervals of every estimate that has derivatives and is reported."""
-
-    def certain(estimates: list[Estimate]) -> None:
-        for one in estimates:
-            if one.unknowns and one.columns:
-                one.intervals = intervals_of(logs.fit, one)
-
-    return models.changed(certain)
+    models, shown = models.with_twins()
+    for one in shown:
+        if one.unknowns and one.columns:
+            one.intervals = intervals_of(logs.fit, one)
+    return models
 
 
 def undetermined(rig: RigModel) -> Iterator[str]:

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation import noise_in
+from ..estimation.fit import noise_in
 from ..logs import Estimates, Logs
-from ..models.base import UNITS, RigModel
+from ..models.base import UNITS, RigModel, Samples
 from .form_correction import Models
-
-__all__ = ["AT_NOISE", "NAMED", "Proof", "Proofs", "prove", "run", "shown_unit", "signal_key"]
 
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
@@ -27,7 +25,7 @@ class Proof:
 
     rig: RigModel
     errors: dict[tuple[int, str], dict[str, float]]
-    traces: dict[str, dict[int, np.ndarray]]
+    traces: dict[str, Samples]
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """The errors by `speed_1_rpm`."""
@@ -79,25 +77,14 @@ def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
     traces = {name: {c: results[p][c] for c, p in own.items()} for name, own in models.items()}
     errors: dict[tuple[int, str], dict[str, float]] = {}
     for channel in rig.channels:
-        for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
+        for signal, own in rig.segments[channel].by_signal.items():
             size = shown_unit(rig, signal, channel)[1]
-            entry = {"noise": _noise(rig, traces, channel, signal) / size}
+            # The noise by the residual that is smoothest of both.
+            smooth = [traces[name][channel] for name in ("calibrated", "after")]
+            noise = [min(noise_in(rig, s, s.measured - x[s.place]) for x in smooth) for s in own]
+            entry = {"noise": float(np.median(noise)) / size}
             for name in models:
-                error = [
-                    (s.measured - traces[name][channel][s.place])[s.used]
-                    for s in rig.segments[channel]
-                    if s.signal == signal
-                ]
-                entry[name] = float(np.sqrt(np.mean(np.concatenate(error) ** 2))) / size
+                error = np.concatenate([s.left(traces[name][channel]) for s in own])
+                entry[name] = float(np.sqrt(np.mean(error**2))) / size
             errors[channel, signal] = entry
     return Proof(rig, errors, traces)
-
-
-def _noise(rig: RigModel, traces: dict[str, dict[int, np.ndarray]], channel: int, signal: str) -> float:
-    """The noise by the residual that is smoothest of all models'."""
-    found = []
-    for s in rig.segments[channel]:
-        if s.signal == signal:
-            errors = [s.measured - traces[name][channel][s.place] for name in ("calibrated", "after")]
-            found.append(min(noise_in(rig, s, error) for error in errors))
-    return float(np.median(found))

@@ -7,23 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect, PlantModel, parameter_of
-from ..estimation import Estimate
+from ...plant import CATALOGUE, Effect, PlantModel
+from ..estimation.estimate import Estimate
+from ..estimation.uncertainty import TWO_SIDED_95
 from ..logs import Estimates
 from ..models.base import RigModel, effect_in
-from .form_correction import is_correction
-
-__all__ = [
-    "Interval", "KnownParameter", "absent_effects", "at_bounds", "effect_values", "estimated_model", "known_parameters",
-    "row_of", "widened_by_form",
-]  # fmt: skip
 
 #: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
 #: deviations of that: as far as a correction of form has moved the value, and at least these shares of a size (of its distance
 #: from neutral) or of what shapes the law (found in blind trials, docs/evidence/notes.md).
 SIZE_BY_FORM, SHAPE_BY_FORM = 0.03, 0.1
-#: Half the width of a 95 % interval in standard deviations.
-TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -138,25 +131,6 @@ def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]
 def row_of(rig: RigModel, channel: int) -> float:
     """The longest time from row to row of the logs of a channel, s."""
     return max(s.period / s.step for s in rig.segments[channel])
-
-
-def at_bounds(estimates: Estimates) -> list[str]:
-    """Estimates at the end of their plausible range, by "J of channel 1"."""
-    found = []
-    for c, estimate in estimates.items():
-        for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-            # What stayed as given may be given at the end of its range; a correction is no physics.
-            stayed = abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0])
-            if stayed or not u.at_bound(float(q)) or (u.effect and is_correction(u.effect)):
-                continue
-            # A given effect may be absent; the upper end of a limit's range stands for none.
-            if "." in u.parameter:
-                p, low = parameter_of(u.parameter), u.value(float(q)) < 0.5 * (u.low + u.high)
-                if p.neutral == (u.low if low else math.inf if p.role == "limit" else u.high):
-                    continue
-            if u.channel in (None, c) and u.high > u.low:
-                found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
-    return found
 
 
 def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:

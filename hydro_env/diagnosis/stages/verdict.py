@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ...plant import CATALOGUE
-from ..estimation import CANNOT_BE_PREDICTED, Estimate, Fit, mostly_explained, predictions_apart, unexplained
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.uncertainty import CANNOT_BE_PREDICTED, predictions_apart
 from ..logs import Estimates, Logs
 from . import uncertainty, validation
 from .calibration import Calibrated
@@ -14,9 +16,6 @@ from .candidates import Accepted, Selection, neutral_of
 from .form_correction import Models
 from .validation import AT_NOISE, NAMED, Proofs
 from .values import effect_values
-
-__all__ = ["Confirmed", "confirm", "decide", "doubts"]
-
 
 #: A signal of the held-out logs is made worse if its error is this many times what calibration alone leaves, and this many times
 #: the noise. With these and the next three values only wrong names were doubted in blind trials (docs/evidence/notes.md).
@@ -37,10 +36,10 @@ def decide(calibrated: Calibrated, selection: Selection) -> str:
     given, first = calibrated.given, selection.calibrated | calibrated.plain
     found = selection.in_best_form()
     if selection.accepted:
-        left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
-        mostly = all(mostly_explained(fit, first[c], found[c], c) for c in channels)
+        left = any(fit.unexplained(selection.estimates[c], c) for c in channels)
+        mostly = all(fit.mostly_explained(first[c], found[c], c) for c in channels)
         return "effects" if mostly or not left else "unknown"
-    if any(unexplained(fit, found[c], c) for c in channels):
+    if any(fit.unexplained(found[c], c) for c in channels):
         return "unknown"
     return "calibration" if any(_better(fit, given[c], first[c], c) for c in channels) else "none"
 
@@ -140,7 +139,9 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
         if not silent and worse and uses("doubt_worse"):
             yield f"{plain} is explained worse with the named effects than by calibration alone"
         times = fitted["after"] / fitted["noise"]
-        far = fit_apart.get(signal, 0.0) < times and _far_from_explained(fitted)
+        # Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
+        far = fitted["after"] > max(LEFT_NOISE * fitted["noise"], LEFT_SHARE * fitted["calibrated"])
+        far = far and fit_apart.get(signal, 0.0) < times
         if dynamic and far and level[signal] > LEFT_LEVEL and uses("doubt_left"):
             yield f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
 
@@ -150,11 +151,3 @@ def _worse(entry: dict[str, float]) -> bool:
     noise = entry["noise"] ** 2
     after = min(entry["after"], entry.get(NAMED, entry["after"])) ** 2
     return after > AT_NOISE**2 * noise and after - noise > WORSE * (entry["calibrated"] ** 2 - noise)
-
-
-def _far_from_explained(entry: dict[str, float]) -> bool:
-    """Whether a signal is left far from its noise, by what calibration alone left too.
-
-    Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
-    """
-    return entry["after"] > max(LEFT_NOISE * entry["noise"], LEFT_SHARE * entry["calibrated"])

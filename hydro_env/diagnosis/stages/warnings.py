@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from ...measured.finding import SPELLING
-from ...plant import CATALOGUE
-from ..estimation import unpredictable
+from ...plant import CATALOGUE, parameter_of
+from ..estimation.uncertainty import unpredictable
 from ..input.parts import Part
 from ..logs import Estimates
 from ..models.base import RigModel
 from ..state import State
+from .form_correction import is_correction
 from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
-from .values import absent_effects, at_bounds
-
-__all__ = ["about_bounds", "about_logs", "run"]
+from .values import absent_effects
 
 #: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
 #: many times the noise: differences that a reader would see.
 WORSE, WORSE_NOISE = 1.1, 1.3
+#: An estimate is at a bound, or as given, within this share of its range: less than any interval.
+AT_BOUND = 1e-3
 
 
 def run(state: State) -> list[str]:
@@ -59,7 +61,22 @@ def _about_errors(state: State) -> Iterator[str]:
 
 def about_bounds(estimates: Estimates) -> list[str]:
     """Estimates that end at the edge of what is plausible."""
-    return [f"{text} ends at the edge of its plausible range" for text in at_bounds(estimates)]
+    found = []
+    for c, estimate in estimates.items():
+        for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+            (first, last), near = u.bounds, AT_BOUND * (u.bounds[1] - u.bounds[0])
+            # What stayed as given may be given at the end of its range; a correction is no physics.
+            if abs(q) <= near or first + near < q < last - near or (u.effect and is_correction(u.effect)):
+                continue
+            # A given effect may be absent; the upper end of a limit's range stands for none.
+            if "." in u.parameter:
+                p, low = parameter_of(u.parameter), u.value(float(q)) < 0.5 * (u.low + u.high)
+                if p.neutral == (u.low if low else math.inf if p.role == "limit" else u.high):
+                    continue
+            if u.channel in (None, c) and u.high > u.low:
+                value = f"{u.value(float(q)):.3g} {u.unit}"
+                found.append(f"{u.name} of channel {c + 1} ({value}) ends at the edge of its plausible range")
+    return found
 
 
 def about_logs(rig: RigModel, parts: Sequence[Part]) -> Iterator[str]:

@@ -21,8 +21,9 @@ from ...measured.log import RigLog
 from ...plant import PlantModel, simulate
 from ...units import RPM
 from .residual import WIDTH
+from .sets import read_commands
 
-__all__ = ["fit_network", "fit_polynomial", "predicted"]
+__all__ = ["Model", "fit_network", "fit_polynomial", "predicted"]
 
 Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
@@ -80,13 +81,10 @@ def predicted(folder: Path, model: PlantModel, fit: Callable[[Array, Array], Mod
     """Time and speeds (rpm), by columns, under commands.csv of a rig's folder, with a black box that `fit` makes on its logs to
     fit."""
     logs = [read_log(folder / name) for name in ("fit_1.csv", "fit_2.csv")]
-    long = np.genfromtxt(folder / "commands.csv", delimiter=",", names=True)
-    command = np.column_stack([long[f"command_{c}_V"] for c in (1, 2)])
-    load = np.column_stack([long[f"load_{c}_Nm"] for c in (1, 2)])
-    period = float(long["time_s"][1] - long["time_s"][0])
     of_logs = [_simulated(model, log.command_V, log.load, log.period) for log in logs]
+    time, command, load, period = read_commands(folder)
     simulated = _simulated(model, command, load, period)
-    found = {"time_s": long["time_s"]}
+    found = {"time_s": time}
     for c in (0, 1):
         pairs = [_samples(model, c, log, sim) for log, sim in zip(logs, of_logs, strict=True)]
         x, y = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))

@@ -15,26 +15,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
+from tqdm import tqdm
 
 from ...diagnosis import diagnose
-from ...diagnosis.estimation import effective_samples
+from ...diagnosis.estimation.noise import effective_samples
 from ...files import write_json, write_text
 from ...plant import BUILT_IN, CATALOGUE
 from ...practice.recorder import log_text
 from ...reading import read_json
 from .answers import answer, read_answer
 from .certainty import WHOLE
-from .correction import fit_network, fit_polynomial, predicted
+from .correction import Model, fit_network, fit_polynomial, predicted
 from .residual import Equation, Start, begin, equations
 from .sets import read_set
 
-__all__ = ["METHODS", "chosen_by_regression", "certified_terms", "run_method"]
+__all__ = ["METHODS", "chosen_by_regression", "certified_terms", "run_methods"]
 
 Array = NDArray[np.float64]
 Named = list[dict[str, Any]]
@@ -179,62 +182,51 @@ def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
     return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")
 
 
-def _naming(name_them: Callable[[Start], Named] | None) -> Callable[[Path, Path], dict[str, Any]]:
-    """A method that names effects beside the calibrated model, whose held-out error it takes."""
-
-    def work(folder: Path, out: Path) -> dict[str, Any]:
-        start = begin(folder)
-        clock = time.process_time()
-        named = name_them(start) if name_them is not None and start.verdict == "unknown" else []
-        start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
-        seconds = start.seconds + time.process_time() - clock
-        verdict = "effects" if named else start.verdict
-        return answer(folder.name, verdict, named, seconds, model=f"{folder.name}.yaml")
-
-    return work
+def _naming(name_them: Callable[[Start], Named], folder: Path, out: Path) -> dict[str, Any]:
+    """Names effects beside the calibrated model, whose held-out error it takes."""
+    start = begin(folder)
+    clock = time.process_time()
+    named = name_them(start) if start.verdict == "unknown" else []
+    start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
+    return _answer(start, clock, folder.name, named, model=f"{folder.name}.yaml")
 
 
-def _correcting(
-    fit: Callable[[Array, Array], Callable[[Array], Array]],
-) -> Callable[[Path, Path], dict[str, Any]]:
-    """A method that adds a black box to the calibrated model and names nothing."""
+def _correcting(fit: Callable[[Array, Array], Model], folder: Path, out: Path) -> dict[str, Any]:
+    """Adds a black box to the calibrated model and names nothing."""
+    start = begin(folder)
+    clock = time.process_time()
+    write_text(out / f"{folder.name}.csv", log_text(predicted(folder, start.model, fit)))
+    return _answer(start, clock, folder.name, [], prediction=f"{folder.name}.csv")
 
-    def work(folder: Path, out: Path) -> dict[str, Any]:
-        start = begin(folder)
-        clock = time.process_time()
-        write_text(out / f"{folder.name}.csv", log_text(predicted(folder, start.model, fit)))
-        seconds = start.seconds + time.process_time() - clock
-        return answer(folder.name, start.verdict, [], seconds, prediction=f"{folder.name}.csv")
 
-    return work
+def _answer(start: Start, clock: float, rig: str, named: Named, **file: str) -> dict[str, Any]:
+    seconds = start.seconds + time.process_time() - clock
+    return answer(rig, "effects" if named else start.verdict, named, seconds, **file)
 
 
 #: Methods by name: each takes the folder of a rig and a folder for its answer's files, and returns the answer.
 METHODS: dict[str, Callable[[Path, Path], dict[str, Any]]] = {
     "diagnose": _diagnose,
-    "calibrate": _naming(None),
-    "sindy": _naming(_by_regression),
-    "polynomial": _correcting(fit_polynomial),
-    "certify": _naming(_by_certification),
-    "network": _correcting(fit_network),
+    "calibrate": partial(_naming, lambda start: []),
+    "sindy": partial(_naming, _by_regression),
+    "polynomial": partial(_correcting, fit_polynomial),
+    "certify": partial(_naming, _by_certification),
+    "network": partial(_correcting, fit_network),
 }
 
 
-def run_method(
-    names: Sequence[str], folder: Path, out: Path, progress: Callable[[str], None] = lambda text: None
-) -> None:
+def run_methods(names: Sequence[str], folder: Path, out: Path) -> None:
     """Runs methods on every rig of the set in `folder`; answers go to `out/METHOD`. What is there already is kept.
 
     InputError for a set that cannot be read, or a malformed answer of an earlier run.
     """
-    rigs = list(read_set(folder)["rigs"])
-    for rig in rigs:
-        for name in names:
-            progress(f"{rig} {name}")
-            own = out / name
-            own.mkdir(parents=True, exist_ok=True)
-            path = own / f"{rig}.json"
-            if path.exists():
-                read_answer(path, rig)
-            else:
-                write_json(path, METHODS[name](folder / "rigs" / rig, own))
+    bar = tqdm(list(product(read_set(folder)["rigs"], names)), unit="answer", disable=None)
+    for rig, name in bar:
+        bar.set_description(f"{rig} {name}")
+        own = out / name
+        own.mkdir(parents=True, exist_ok=True)
+        path = own / f"{rig}.json"
+        if path.exists():
+            read_answer(path, rig)
+        else:
+            write_json(path, METHODS[name](folder / "rigs" / rig, own))

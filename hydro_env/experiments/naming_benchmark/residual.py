@@ -22,7 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from ...diagnosis.estimation import Estimate, Fit, noise_floor
+from ...diagnosis.estimation.estimate import Estimate
+from ...diagnosis.estimation.fit import Fit
+from ...diagnosis.estimation.noise import noise_floor
 from ...diagnosis.input.checks import read_logs
 from ...diagnosis.input.parts import filled
 from ...diagnosis.logs import Logs

@@ -20,7 +20,7 @@ from ...units import RPM
 from ..coverage import by_channel, wilson
 from .answers import read_answers
 from .certainty import certainty, lines
-from .sets import TRUTH_SCHEMA, read_set
+from .sets import TRUTH_SCHEMA, columns_of, read_commands, read_set
 
 __all__ = ["judge", "score", "table"]
 
@@ -28,24 +28,6 @@ SCHEMA = "hydro_env/naming_scores/1"
 #: A held-out error within this multiple of the noise counts as explained.
 WITHIN = 1.3
 RESAMPLES = 2000
-
-
-def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
-    """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no finite number."""
-    from pyarrow import ArrowException, float64
-    from pyarrow.csv import ConvertOptions, read_csv
-
-    wanted = ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, float64()))
-    try:
-        found = read_csv(path, convert_options=wanted)
-    except (OSError, ArrowException) as problem:
-        raise InputError(
-            f"{path}: {problem}; expected numbers under the columns {', '.join(names)}"
-        ) from None
-    values = np.column_stack([found[name].to_numpy() for name in names])
-    if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
-        raise InputError(f"{path}: row {bad[0] + 2}: not a finite number")
-    return values
 
 
 def judge(answer: Mapping[str, Any], truth: Mapping[str, Any], error: float | None) -> dict[str, Any]:
@@ -95,19 +77,13 @@ def _held_out_error(folder: Path, answers: Path, answer: Mapping[str, Any], nois
             raise InputError(f"{path}: time_s differs from that of commands.csv")
         predicted = found[:, 1:]
     elif answer.get("model"):
-        predicted = _simulated(answers / answer["model"], folder / "rigs" / name)[-len(measured) :]
+        _, command, load, period = read_commands(folder / "rigs" / name)
+        model = load_model(answers / answer["model"])
+        speed = simulate(model, command, load, period, record=["measured_speed"])["measured_speed"]
+        predicted = speed[-len(measured) :, 0] / RPM
     else:
         return None
     return float(np.sqrt(np.mean((predicted - measured[:, 1:]) ** 2)) / noise)
-
-
-def _simulated(model: Path, rig: Path) -> NDArray[np.float64]:
-    """Speeds (T, 2), rpm, of a model under commands.csv."""
-    names = ("time_s", "command_1_V", "command_2_V", "load_1_Nm", "load_2_Nm")
-    log = columns_of(rig / "commands.csv", names)
-    period = float(log[1, 0] - log[0, 0])
-    out = simulate(load_model(model), log[:, 1:3], log[:, 3:5], period, record=["measured_speed"])
-    return out["measured_speed"][:, 0, :] / RPM
 
 
 def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -> dict[str, Any]:

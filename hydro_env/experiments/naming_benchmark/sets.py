@@ -17,11 +17,13 @@ effects out of its candidates, so that a list of candidates says nothing about w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
 
 from ...errors import InputError
 from ...files import write_json, write_text
@@ -31,7 +33,11 @@ from ...practice.generate import Practice, make_practice
 from ...practice.recorder import log_text
 from ...reading import read_json
 
-__all__ = ["KINDS", "RIG_SCHEMA", "SET_SCHEMA", "TRUTH_SCHEMA", "draw_rig", "make_set", "read_set"]
+__all__ = [
+    "KINDS", "RIG_SCHEMA", "SET_SCHEMA", "TRUTH_SCHEMA", "columns_of", "draw_rig", "make_set", "read_commands", "read_set",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
 
 SET_SCHEMA = "hydro_env/naming_set/1"
 RIG_SCHEMA = "hydro_env/naming_rig/1"
@@ -91,7 +97,7 @@ def draw_rig(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def make_set(out: Path, rigs: int, seed: int, progress: Callable[[str], None] = lambda name: None) -> None:
+def make_set(out: Path, rigs: int, seed: int) -> None:
     """Makes a set of rigs in the folder `out`; rigs that it holds already are kept, so a stopped run goes on.
 
     InputError if the folder holds a set of another size or seed.
@@ -106,8 +112,9 @@ def make_set(out: Path, rigs: int, seed: int, progress: Callable[[str], None] = 
     write_json(out / "set.json", about)
     shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
     kinds = _kinds(rigs, np.random.default_rng(shared))
-    for name, kind, stream in zip(names, kinds, own, strict=True):
-        progress(name)
+    bar = tqdm(zip(names, kinds, own, strict=True), total=rigs, unit="rig", disable=None)
+    for name, kind, stream in bar:
+        bar.set_description(name)
         if not (out / "truth" / f"{name}.json").exists():
             _make_rig(out, name, kind, draw_rig(kind, np.random.default_rng(stream)))
 
@@ -157,3 +164,28 @@ def read_set(folder: Path) -> dict[str, Any]:
             f"{folder / 'set.json'}: expected a set of `hydro-env naming-benchmark make`, schema {SET_SCHEMA!r}"
         )
     return about
+
+
+def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
+    """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no finite number."""
+    from pyarrow import ArrowException, float64
+    from pyarrow.csv import ConvertOptions, read_csv
+
+    wanted = ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, float64()))
+    try:
+        found = read_csv(path, convert_options=wanted)
+    except (OSError, ArrowException) as problem:
+        raise InputError(
+            f"{path}: {problem}; expected numbers under the columns {', '.join(names)}"
+        ) from None
+    values = np.column_stack([found[name].to_numpy() for name in names])
+    if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
+        raise InputError(f"{path}: row {bad[0] + 2}: not a finite number")
+    return values
+
+
+def read_commands(rig: Path) -> tuple[Array, Array, Array, float]:
+    """commands.csv of a rig's folder: time (T,), s, commands (T, 2), V, loads (T, 2), N m, and the period, s."""
+    names = ("time_s", "command_1_V", "command_2_V", "load_1_Nm", "load_2_Nm")
+    long = columns_of(rig / "commands.csv", names)
+    return long[:, 0], long[:, 1:3], long[:, 3:5], float(long[1, 0] - long[0, 0])

@@ -89,17 +89,13 @@ def export_fmu(
         binaries = _write(path, source, version, name, compilers)
         missing += [f"{each} in FMI {version}.0" for each in platforms if each not in binaries]
         files.append(path)
-        about.append(
-            {"file": path.name, "fmi": f"{version}.0", "bytes": path.stat().st_size, "binaries": binaries}
-        )
+        size = path.stat().st_size
+        about.append({"file": path.name, "fmi": f"{version}.0", "bytes": size, "binaries": binaries})
         if not platforms and not binaries:
             missing.append(f"{sys.platform} on {platform.machine()} in FMI {version}.0")
-    note = "" if not missing else (
-        "no C compiler was found (cc, gcc, clang or $CC)" if find_compiler() is None and not compilers
-        else f"no binary for {', '.join(missing)}"
-    )  # fmt: skip
-    if note:
-        note = f"{note}: what has no binary holds the C source only, for tools that compile it"
+    known = compilers or find_compiler()
+    why = f"no binary for {', '.join(missing)}" if known else "no C compiler was found (cc, gcc, clang or $CC)"
+    note = f"{why}: what has no binary holds the C source only, for tools that compile it" if missing else ""
     data = {
         "schema": "hydro_env/export/1", "kind": "fmu", "model": model.to_dict(),
         "tolerance_rpm": source.model.tolerance / RPM, "files": about,

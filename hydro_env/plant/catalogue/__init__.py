@@ -24,31 +24,10 @@ from . import (
     opening,
     sensor,
     supply,
-)  # fmt: skip
-from .effect import (
-    CATALOGUE,
-    PORTS,
-    QUANTITIES,
-    Effect,
-    State,
-    parameter_of,
-    register,
-    separating_experiment,
-    unregister,
 )
+from .effect import CATALOGUE, PORTS, Effect, register, separating_experiment
 
-__all__ = [
-    "BUILT_IN",
-    "CATALOGUE",
-    "PORTS",
-    "QUANTITIES",
-    "Effect",
-    "State",
-    "parameter_of",
-    "register",
-    "separating_experiment",
-    "unregister",
-]
+__all__ = ["BUILT_IN", "CATALOGUE", "PORTS", "Effect", "separating_experiment"]
 
 for _file in (driver, coil, force, opening, flow, supply, line, motor, load, fluid, sensor, losses):
     for _effect in _file.EFFECTS:

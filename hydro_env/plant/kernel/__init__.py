@@ -4,9 +4,7 @@ integrator  the tableau, the estimate of the error and the control of the step, 
 layout      where states, parameters and stages lie in the memory of a block
 laws        sources of laws and of the functions that they call: checks, and text
 statements  from the right-hand side and the laws of the effects to statements
-fused       products and sums of statements as fused operations
-template    the text of a generated module
-codegen     writes the module: sweeps over lanes
+codegen     writes the text of a module: sweeps over lanes
 module_cache  keeps it for the next process
 vector_ir   writes it, read by `hydro_env.ir`, as vector instructions
 machine_code  compiles them and keeps what was compiled
@@ -16,9 +14,9 @@ Method: three stages of ROS3w and steps by measured error (see `integrator`), wi
 channel (coil, spool, bristle; pressure, speed) as the effects shape them, how the states of effects decay, what drives them, and
 what they do to leakage and force. It leaves out what else they act on, the angle, and the steepest fall of the spool's friction.
 
-Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
-text names each `fma` itself, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane gets the same bits
-whatever its neighbours, its place, the width of the block and the neutral effects that are compiled in.
+Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the reader
+fuses products and sums statement by statement, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane
+gets the same bits whatever its neighbours, its place, the width of the block and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
 module, compiled once for a set of effects and a width of blocks. The loops around the sweeps are compiled once for all.
@@ -66,6 +64,10 @@ class Kernel:
     machine_code: MachineCode
     grouped: bool = False
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, and what another process unpickles, is compiled there, or already is."""
+        return compile_kernel, (self.effects, self.half, self.dtype, self.grouped)
+
     def room(self) -> NDArray[Any]:
         """Room for a block to be worked on (`cells`), from a cache line's beginning."""
         item = self.dtype.itemsize
@@ -80,12 +82,8 @@ _COMPILING = Lock()
 @lru_cache(maxsize=64)
 def _compiled(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
     with _COMPILING:
-        return _compiled_alone(effects, half, single, grouped)
-
-
-def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
-    module = module_of(effects, half, grouped)
-    code = machine_code(module.text, single)
+        module = module_of(effects, half, grouped)
+        code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
         effects=tuple(e.name for e in effects), half=half, rows=module.rows, num_rows=module.numbers["kept"],

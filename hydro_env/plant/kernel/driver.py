@@ -1,7 +1,7 @@
 """The loops around the sweeps of a kernel: blocks, rows of commands, and steps.
 
 Compiled once and shared by all kernels. What a kernel is comes as numbers: rows of its memory, and the addresses of its
-sweeps (see `template`).
+sweeps (see `codegen`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .vector_ir import FOUND
 
 __all__ = ["NUMBERS", "SWEEPS", "advance"]
 
-#: Sweeps of `template`, called by their addresses.
+#: Sweeps of a module, called by their addresses.
 SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "pass_point", "reset_diverged")
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
 #: (`delay`, `coupled`: -1 without), addresses.

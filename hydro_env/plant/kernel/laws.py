@@ -12,7 +12,6 @@ from typing import Any
 
 from .. import vector_math
 from ..catalogue.effect import called_by, helpers_of
-from .fused import fuse
 
 __all__ = ["LawError", "check", "check_law", "parse", "texts"]
 
@@ -126,7 +125,7 @@ def _text(function: Function, name: str) -> str:
     for call in _calls(node):
         helper = helpers_of(function).get(call.id)
         call.id = call.id if helper is None else _name(helper)
-    return ast.unparse(fuse(node))
+    return ast.unparse(node)
 
 
 def _calls(node: ast.AST) -> Iterator[ast.Name]:

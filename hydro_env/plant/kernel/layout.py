@@ -6,10 +6,10 @@ holds one name of all lanes; all rows of a block lie one after the other in a fl
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ..catalogue import Effect, State
+from ..catalogue.effect import Effect, State
 from ..parameters import PARAMETERS
 
 __all__ = [
@@ -24,13 +24,6 @@ INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop", "beta")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
-#: Rows of the step: time left of a command, s; the step to try, s; the squared error of the last one; whether the rates are to
-#: be evaluated; whether a lane was given up; the time left, the speed and its rate before the last attempt; and
-#: of a grid over the row: the points after the next one, the speed at that one, its number from the end if it was passed, else 0.
-STEP = (
-    "todo", "error", "fresh", "lost", "before__todo", "before__speed", "before__speed_rate", "points_left", "point_speed",
-    "point_passed",
-)  # fmt: skip
 _OUTPUTS = (
     "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "diverged", "lost_at",
     "peak_difference", "command", "load",
@@ -96,14 +89,6 @@ class Layout:
         """The cell of a name on lane `l`."""
         return f"cells[{self.row(name) * 2 * self.half} + l]"
 
-    def load(self, names: Iterable[str], used: Collection[str] | None = None) -> list[str]:
-        """Statements that load names, or those of them that are `used`."""
-        return [f"{name} = {self.cell(name)}" for name in names if used is None or name in used]
-
-    def store(self, names: Iterable[str]) -> list[str]:
-        """Statements that store names."""
-        return [f"{self.cell(name)} = {name}" for name in names]
-
 
 def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
     """The parameters of a channel with these effects."""
@@ -116,5 +101,5 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
     states = STATES + tuple(states_of(effects))
     moving = [*states, *_OUTPUTS]
     kept = [*moving, *parameters]
-    rows = {name: row for row, name in enumerate([*kept, "applied", "row_left", *STEP])}
+    rows = {name: row for row, name in enumerate([*kept, "row_left"])}
     return Layout(effects, half, states, parameters, rows, len(moving), len(kept))

@@ -1,7 +1,7 @@
 """From `rates` and the laws of the effects to statements of the generated text, one assignment to a line.
 
 What depends on the parameters alone is taken out of them (`Step.settling`), divisions by parameters become products. A line is
-looked at as a syntax tree (`target`, `reads`, `renamed`).
+looked at as a syntax tree (`target`, `reads`).
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 from .. import vector_math
-from ..catalogue import QUANTITIES, Effect, State
-from ..catalogue.effect import arguments
+from ..catalogue.effect import QUANTITIES, Effect, State, arguments
 from ..friction import bristles_left, friction_left
 from ..rhs import rates
 from . import laws
 from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of
 
-__all__ = ["Step", "call", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
+__all__ = ["Step", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
 
 #: Functions of vector_math that statements and laws may call.
 HELPERS = ("clip", "positive", "sign", "exp", "bell", "tanh", "cos", "sin")
@@ -60,51 +60,33 @@ def reads(lines: Iterable[str]) -> set[str]:
     return {name for line in lines for name in _parts(line)[1]}
 
 
-class _Rename(ast.NodeTransformer):
-    def __init__(self, changed: Mapping[str, str]) -> None:
-        self.changed = changed
-
-    def visit_Name(self, node: ast.Name) -> ast.Name:
-        return ast.Name(self.changed.get(node.id, node.id), node.ctx)
-
-
-def renamed(expression: str, changed: Mapping[str, str]) -> str:
-    """An expression with other names."""
-    return ast.unparse(_Rename(changed).visit(ast.parse(expression, mode="eval")))
-
-
 # --- laws -------------------------------------------------------------------------------------------------------------
 def _law_name(effect: Effect, part: str) -> str:
     return f"{effect.name}__{part}__law"
 
 
-def _asked(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
-    """What the arguments of a law are called in the generated text; `given` says what else an argument stands for."""
+def _call(
+    effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float], changed: Mapping[str, str]
+) -> str:  # fmt: skip
+    """A call of a law of an effect; `given` says what an argument stands for, and `changed` renames what is handed over."""
     own = {own: in_text(effect, own) for own in effect.names}
     if effect.shares is not None:
         own |= {shared: in_text(effect.shares, shared) for shared in effect.shares.names}
     own |= {argument: own.get(str(source), str(source)) for argument, source in given.items()}
-    return [own.get(argument, argument) for argument in arguments(law)]
+    asked = [own.get(argument, argument) for argument in arguments(law)]
+    return f"{_law_name(effect, part)}({', '.join(changed.get(name, name) for name in asked)})"
 
 
-def call(
-    effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float] | None = None
-) -> str:
-    """A call of a law of an effect: of a rate or decay of one of its states."""
-    return f"{_law_name(effect, part)}({', '.join(_asked(effect, law, given or {}))})"
-
-
-def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] | None = None) -> list[str]:
+def chain(
+    quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] = MappingProxyType({})
+) -> list[str]:
     """Statements that pass `quantity` through the laws of the effects; `changed` renames arguments."""
-    changed = changed or {}
     to = changed.get(quantity, quantity)
-    lines = []
-    for effect in effects:
-        law = effect.laws.get(quantity)
-        if law is not None:
-            asked = [to, *(changed.get(name, name) for name in _asked(effect, law, {})[1:])]
-            lines.append(f"{to} = {_law_name(effect, quantity)}({', '.join(asked)})")
-    return lines
+    return [
+        f"{to} = {_call(effect, quantity, law, {arguments(law)[0]: to}, changed)}"
+        for effect in effects
+        if (law := effect.laws.get(quantity)) is not None
+    ]
 
 
 def functions(effects: Iterable[Effect]) -> list[str]:
@@ -131,6 +113,12 @@ def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
     return body
 
 
+def _again(effects: Iterable[Effect], quantity: str, first: str, *moved: str) -> list[str]:
+    """Statements that make `quantity`__d from `first` by the laws of the effects, as if each NAME of `moved` were NAME__d."""
+    changed = {name: f"{name}__d" for name in (quantity, *moved)}
+    return [f"{quantity}__d = {first}", *chain(quantity, effects, changed)]
+
+
 def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
     return any(argument in arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
 
@@ -149,8 +137,7 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
     ]
     if _depends("force", effects, "spool"):
-        lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]
-        lines += chain("force", effects, {"force": "force__d", "spool": "spool__d"})
+        lines += ["spool__d = spool + 1e-7", *_again(effects, "force", "alpha * current", "spool")]
         lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
     return lines + _flow_slope(effects) + _leakage_slope(effects) + _filling(effects) + _shaft_slope(effects)
 
@@ -159,10 +146,9 @@ def _flow_slope(effects: tuple[Effect, ...]) -> list[str]:
     """How fast flow grows as the valve opens."""
     lines = ["flow_slope = Kq * sqrt(drive if drive > 0.0 else 0.0)"]
     if any("opening" in effect.laws for effect in effects):
-        lines += ["further = spool + 1e-7", "opening__d = further"]
-        lines += chain("opening", effects, {"opening": "opening__d", "spool": "further"})
+        lines += ["spool__d = spool + 1e-7", *_again(effects, "opening", "spool__d", "spool")]
         # Only what the effects add, so that a neutral one changes no bit.
-        lines += ["flow_slope = flow_slope * (1.0 + ((opening__d - further) - (opening - spool)) * 1e7)"]
+        lines += ["flow_slope = flow_slope * (1.0 + ((opening__d - spool__d) - (opening - spool)) * 1e7)"]
     return lines
 
 
@@ -173,18 +159,15 @@ def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
         lines += [
             "laminar__d = leakage_coefficient * pressure__d",
             "laminar = leakage_coefficient * pressure",
-            "leakage__d = laminar__d",
-            *chain("leakage", effects, {"leakage": "leakage__d", "pressure": "pressure__d"}),
+            *_again(effects, "leakage", "laminar__d", "pressure"),
             # Only what the effects add, so that a neutral one changes no bit.
             "leakage_slope = leakage_slope + positive(((leakage__d - laminar__d) - (leakage - laminar)) * 1e-3)",
         ]
     if _depends("drive", effects, "pressure") or _depends("flow", effects, "pressure"):
-        changed = {"drive": "drive__d", "flow": "flow__d", "pressure": "pressure__d"}
+        passed = "Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)"
         lines += [
-            "drive__d = 1.0",
-            *chain("drive", effects, changed),
-            "flow__d = Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)",
-            *chain("flow", effects, changed),
+            *_again(effects, "drive", "1.0", "pressure"),
+            *_again(effects, "flow", passed, "drive", "pressure"),
             "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
         ]
     return lines
@@ -195,8 +178,7 @@ def _filling(effects: tuple[Effect, ...]) -> list[str]:
     if not _depends("bulk_modulus", effects, "pressure"):
         return ["filling = 0.0"]
     return [
-        "bulk_modulus__d = beta",
-        *chain("bulk_modulus", effects, {"bulk_modulus": "bulk_modulus__d", "pressure": "pressure__d"}),
+        *_again(effects, "bulk_modulus", "beta", "pressure"),
         "filling = pressure_rate * ((bulk_modulus__d - bulk_modulus) / bulk_modulus) * 1e-3",
     ]
 
@@ -205,12 +187,12 @@ def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
     """How fast torque is lost as the speed rises."""
     lines = ["shaft_slope = viscous_friction"]
     if _depends("torque", effects, "speed") or _depends("motor_pressure", effects, "speed"):
-        changed = {"torque": "torque__d", "motor_pressure": "motor_pressure__d", "speed": "speed__d"}
-        lines += ["speed__d = speed + 1e-3", "torque__d = -load", "motor_pressure__d = pressure"]
-        lines += chain("motor_pressure", effects, changed) + chain("torque", effects, changed)
         lines += [
+            "speed__d = speed + 1e-3",
+            *_again(effects, "motor_pressure", "pressure", "speed"),
+            *_again(effects, "torque", "-load", "motor_pressure", "speed"),
             "shaft_slope = shaft_slope + positive("
-            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)"
+            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)",
         ]
     return lines
 
@@ -294,18 +276,19 @@ _MEETS = {
 }
 
 
-def _sum_of_rates(adding: Iterable[tuple[Effect, State]]) -> str:
-    """The rate of a state, of all that adds to it."""
-    return " + ".join(call(e, s.name + "_rate", s.rate, s.given) for e, s in adding)
+def _sum_of_rates(
+    adding: Iterable[tuple[Effect, State]], changed: Mapping[str, str] = MappingProxyType({})
+) -> str:
+    """The rate of a state, of all that adds to it; `changed` renames arguments."""
+    return " + ".join(_call(e, s.name + "_rate", s.rate, s.given, changed) for e, s in adding)
 
 
 def _decay(adding: tuple[Effect, State], name: str, further: float) -> str:
     """How fast a state falls back by what one effect adds to its rate."""
     effect, state = adding
     if state.decay is not None:
-        return call(effect, state.name + "_decay", state.decay, state.given)
-    rate = _sum_of_rates([adding])
-    changed = renamed(rate, {name: f"{name}__d"})
+        return _call(effect, state.name + "_decay", state.decay, state.given, {})
+    rate, changed = _sum_of_rates([adding]), _sum_of_rates([adding], {name: f"{name}__d"})
     return f"positive(({rate} - {changed}) * {1.0 / further!r})"
 
 
@@ -324,14 +307,13 @@ def _own_slopes(effects: tuple[Effect, ...]) -> tuple[list[str], dict[str, tuple
         asked = reads([f"{name}_rate = {rate}"])
         for driver, (small, solved) in drives.items():
             if driver in asked:
-                changed = renamed(rate, {driver: f"{driver}__d"})
+                changed = _sum_of_rates(adding, {driver: f"{driver}__d"})
                 lines += [f"{driver}__d = {driver} + {small!r}"]
                 lines += [f"{name}__by_{driver} = ({changed} - {name}_rate) * {1.0 / small!r}"]
                 couplings[f"{name}__by_{driver}"] = name, solved
         for driver, (quantity, first, _) in _MEETS.items():
             if driver in asked and name in reads(chain(quantity, effects)):
-                lines += [f"{quantity}__d = {first}"]
-                lines += chain(quantity, effects, {quantity: f"{quantity}__d", name: f"{name}__d"})
+                lines += _again(effects, quantity, first, name)
                 lines += [f"{name}__acts = ({quantity}__d - {quantity}) * {1.0 / further!r}"]
                 acting[name] = driver
         drives[name] = further, f"u__{name}"
@@ -345,8 +327,8 @@ def step_of(effects: tuple[Effect, ...]) -> Step:
     own = [f"{name}_rate = {_sum_of_rates(adding)}" for name, adding in states.items()]
     decays, couplings, acting = _own_slopes(effects)
     hoist = _Hoist({*parameters_of(effects), *RECIPROCALS})
-    rates = hoist.take(_by_reciprocals(_rates_body(effects)))
-    slopes = hoist.take(_by_reciprocals(_slopes(effects))) + decays
+    rates = hoist.take(_rates_body(effects))
+    slopes = hoist.take(_slopes(effects)) + decays
     factors = [f"e_{name} = 1.0 / (ig + {name}_decay)" for name in states]
     eliminated = ["pull = alpha"]
     for name, driver in acting.items():
@@ -373,10 +355,6 @@ class _Reciprocals(ast.NodeTransformer):
         return node
 
 
-def _by_reciprocals(lines: Iterable[str]) -> list[str]:
-    return [ast.unparse(_Reciprocals().visit(ast.parse(line))) for line in lines]
-
-
 def needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
     """The assignments among `lines` that the wanted names depend on."""
     kept: list[str] = []
@@ -391,25 +369,23 @@ class _Hoist(ast.NodeTransformer):
     """Takes what depends on the parameters alone out of the statements of a sweep.
 
     `constant` names what is known beforehand. `take(lines)` gives the lines back with a name `k__n` in place of each
-    constant part; `lines` then holds the assignments that make these names, in order.
+    constant part, and divisions by `DIVISORS` as products; `lines` then holds the assignments that make these names, in order.
     """
 
     def __init__(self, constant: Iterable[str]) -> None:
         self.constant = set(constant)
         self.lines: list[str] = []
-        self.names: dict[str, str] = {}
+        self.names: list[str] = []
 
     def _is_constant(self, node: ast.AST) -> bool:
         names = list(_names(node))
         return bool(names) and self.constant.issuperset(names)
 
     def _name(self, node: ast.AST) -> str:
-        text = ast.unparse(node)
         # A variable may be assigned several times, so the same text need not mean the same.
-        name = f"k__{len(self.names)}"
-        self.lines.append(f"{name} = {text}")
-        self.names[name] = text
-        return name
+        self.names.append(f"k__{len(self.names)}")
+        self.lines.append(f"{self.names[-1]} = {ast.unparse(node)}")
+        return self.names[-1]
 
     def visit(self, node: ast.AST) -> Any:
         if isinstance(node, ast.BinOp | ast.Call | ast.IfExp) and self._is_constant(node):
@@ -419,10 +395,10 @@ class _Hoist(ast.NodeTransformer):
     def take(self, lines: Iterable[str]) -> list[str]:
         taken = []
         for line in lines:
-            name, node = target(line), ast.parse(line).body[0].value  # type: ignore[attr-defined]
+            name, node = target(line), _Reciprocals().visit(ast.parse(line)).body[0].value
             if self._is_constant(node) or isinstance(node, ast.Constant):
                 self.constant.add(name)
-                self.lines.append(line)
+                self.lines.append(f"{name} = {ast.unparse(node)}")
                 if not isinstance(node, ast.Name | ast.Constant):
                     line = f"{name} = {self._name(ast.Name(name, ast.Load()))}"
             else:

@@ -1,14 +1,15 @@
 """Typed statements (`hydro_env.ir`) that work lane by lane as LLVM's vector instructions.
 
-A sweep of a generated kernel is a function `name(cells, h)` of statements on scalars and of loops
+A sweep of a generated kernel is a function `name(cells, h)` of loops
 
     for l in range(LANES):
         a = cells[3 * LANES + l]
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
 As many lanes go to a vector as the widest registers hold. Left to Numba the compiler would have to find out types, variables and
-that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text:
-nothing is fused or reordered.
+that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text: its
+products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler fused by itself
+would depend on the effects compiled in and on the width of the block.
 
 `found += test` in a loop counts the lanes that pass a test (before the loop `found = 0`, and `return found` at the end). An `if`
 in a loop ends by storing to a cell: its statements run on all lanes of a vector if any lane passes, so what they store has to be
@@ -50,8 +51,9 @@ class _Emitter:
     ) -> None:
         self.builder, self.functions, self.name = builder, functions, name
         self.cells, self.kind = cells, kind
-        self.lane: ir.Value | None = None  # index of the first lane of the vector at hand
-        self.width = 1
+        self.bytes = 4 if isinstance(kind, ir.FloatType) else 8  # of a real number
+        self.found = builder.alloca(FOUND)  # on how many lanes the test was passed
+        builder.store(FOUND(0), self.found)
 
     # --- values -----------------------------------------------------------------------------------------------------
     def _fail(self, what: str) -> TypeError:
@@ -63,11 +65,7 @@ class _Emitter:
 
     @property
     def _suffix(self) -> str:
-        return f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
-
-    @property
-    def _align(self) -> int:
-        return 4 if isinstance(self.kind, ir.FloatType) else 8
+        return f"v{self.width}f{8 * self.bytes}"
 
     def _splat(self, scalar: ir.Value) -> ir.Value:
         """A scalar on all lanes."""
@@ -78,7 +76,7 @@ class _Emitter:
 
     def _address(self, index: Expr) -> ir.Value:
         """Address of the cells of all lanes at hand: all but the lane is known."""
-        if index.op != "add" or index.args[0].known is None or self.lane is None:
+        if index.op != "add" or index.args[0].known is None:
             raise self._fail("a cell whose lane is not `l`")
         place = self.builder.add(self.lane, ir.Constant(ir.IntType(64), index.args[0].known))
         return self.builder.bitcast(self.builder.gep(self.cells, [place]), ir.PointerType(self._vector))
@@ -96,9 +94,9 @@ class _Emitter:
                 return found if isinstance(found.type, ir.VectorType) else self._splat(found)
             case "load" if x.args[0].known is not None:
                 pointer = emit.gep(self.cells, [ir.Constant(ir.IntType(64), x.args[0].known)])
-                return self._splat(emit.load(pointer, align=self._align))
+                return self._splat(emit.load(pointer, align=self.bytes))
             case "load":
-                return emit.load(self._address(x.args[0]), align=self._align)
+                return emit.load(self._address(x.args[0]), align=self.bytes)
             case "call":
                 return self._call(self.functions[x.value], [self.value(each, names) for each in x.args])
         operands = [self.value(each, names) for each in x.args]
@@ -131,9 +129,8 @@ class _Emitter:
         """Runs statements; the value of the `return` they end in, None if they do not."""
         for number, each in enumerate(statements):
             match each:
-                case Assign(name, value) if value.kind == "int":
-                    passed = self._count(self.value(value.args[1].args[0], names))
-                    names[name] = self.builder.add(names[name], passed)
+                case Assign(_, value) if value.kind == "int":
+                    self._count(self.value(value.args[1].args[0], names))
                 case Assign(name, value):
                     names[name] = self.value(value, names)
                 case Store(_, index, value):
@@ -158,14 +155,14 @@ class _Emitter:
     def _store(self, index: Expr, value: Expr, names: Names) -> None:
         """Stores a value to the cells of all lanes; `value if test else what is there` to those that pass the test."""
         if not (value.op == "where" and value.args[2].op == "load" and _same(value.args[2].args[0], index)):
-            self.builder.store(self.value(value, names), self._address(index), align=self._align)
+            self.builder.store(self.value(value, names), self._address(index), align=self.bytes)
             return
         test, new = (self.value(each, names) for each in value.args[:2])
         pointer = self._address(index)
         whole = ir.IntType(32)
         signature = ir.FunctionType(ir.VoidType(), [new.type, pointer.type, whole, test.type])
         function = self._declared(f"llvm.masked.store.{self._suffix}.p0{self._suffix}", signature)
-        self.builder.call(function, [new, pointer, ir.Constant(whole, self._align), test])
+        self.builder.call(function, [new, pointer, ir.Constant(whole, self.bytes), test])
 
     def _where_any(self, test: ir.Value, body: list[Statement], names: Names) -> None:
         """Statements that are left out where no lane of the vector passes a test; else they are run on all of them."""
@@ -174,55 +171,41 @@ class _Emitter:
         with emit.if_then(emit.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0)), likely=False):
             self._block(body, names)
 
-    def _count(self, test: ir.Value) -> ir.Value:
-        """On how many lanes a test is passed."""
-        bits = self.builder.zext(self.builder.bitcast(test, ir.IntType(self.width)), FOUND)
-        return self.builder.ctpop(bits)
+    def _count(self, test: ir.Value) -> None:
+        """Counts the lanes on which a test is passed."""
+        emit = self.builder
+        passed = emit.ctpop(emit.zext(emit.bitcast(test, ir.IntType(self.width)), FOUND))
+        emit.store(emit.add(emit.load(self.found), passed), self.found)
 
     def _lanes(self, lanes: int, body: list[Statement], names: Names) -> None:
         """A loop over lanes, a vector at a time."""
-        widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
-        width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
-        index = ir.IntType(64)
-        before, loop = self.builder.block, self.builder.append_basic_block("lanes")
-        after = self.builder.append_basic_block("done")
-        self.builder.branch(loop)
-        self.builder.position_at_end(loop)
-        self.lane = self.builder.phi(index)
-        self.width = width
-        inner = dict(names)
-        found = {each.name for each in body if isinstance(each, Assign) and each.value.kind == "int"}
-        marks = {name: self.builder.phi(FOUND) for name in found}
-        inner.update(marks)
-        self._block(body, inner)
-        for name, mark in marks.items():
-            mark.add_incoming(FOUND(0), before)
-            mark.add_incoming(inner[name], self.builder.block)
-        onward = self.builder.add(self.lane, ir.Constant(index, width))
+        emit, index = self.builder, ir.IntType(64)
+        self.width = next(w for w in (16, 8, 4, 2, 1) if w * self.bytes <= _WIDEST and lanes % w == 0)
+        before, loop = emit.block, emit.append_basic_block("lanes")
+        emit.branch(loop)
+        emit.position_at_end(loop)
+        self.lane = emit.phi(index)  # the first lane of the vector at hand
+        self._block(body, dict(names))
+        onward = emit.add(self.lane, ir.Constant(index, self.width))
         self.lane.add_incoming(ir.Constant(index, 0), before)
-        self.lane.add_incoming(onward, self.builder.block)
-        self.builder.cbranch(self.builder.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
-        self.builder.position_at_end(after)
-        names.update({name: inner[name] for name in found})
-        self.lane, self.width = None, 1
+        self.lane.add_incoming(onward, emit.block)
+        after = emit.append_basic_block("done")
+        emit.cbranch(emit.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
+        emit.position_at_end(after)
 
     def sweep(self, statements: Iterable[Statement], names: Names) -> None:
-        """The statements of the sweep itself: scalars, one lane wide, and loops over lanes."""
-        found = FOUND(0)
+        """The statements of the sweep itself: loops over lanes, and the count that it returns."""
         for each in statements:
             match each:
-                case Return(Expr() as value):
-                    found = names[value.value]
                 case For(_, _, stop, _, body) if stop.known is not None:
                     self._lanes(stop.known, body, names)
-                case Assign(name, value) if value.kind == "int":
-                    names[name] = FOUND(value.known)
-                case Assign(name, value):
-                    vector = self.value(value, names)
-                    names[name] = self.builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
+                case Assign(_, value) if value.known == 0:
+                    pass
+                case Return(Expr(op="var")):
+                    pass
                 case _:
                     raise self._fail(type(each).__name__)
-        self.builder.ret(found)
+        self.builder.ret(self.builder.load(self.found))
 
 
 def _same(a: Expr, b: Expr) -> bool:
@@ -237,7 +220,7 @@ def llvm_text(text: str, single: bool) -> str:
     of float32, else of float64.
     """
     kind = ir.FloatType() if single else ir.DoubleType()
-    module, reader = ir.Module("sweeps"), Reader()
+    module, reader = ir.Module("sweeps"), Reader(fuses=True)
     for name, source in module_sources(text).items():
         if [a.arg for a in source.node.args.args] == ["cells", "h"]:
             reader.call(source, [Arr.of("double", "cells", (0,)), var("h", "double")])

@@ -115,16 +115,14 @@ class ReferenceRig:
     @staticmethod
     def _store(group: Group, states: Array, out: dict[str, Array], rows: NDArray[np.intp]) -> None:
         states = np.ascontiguousarray(states)
-        flow = np.empty((len(rows), len(group.members)))
-        shown, mean = np.empty_like(flow), np.empty_like(flow)
-        outputs(states, group.channels, flow, shown, mean)
+        seen = np.empty((3, len(rows), len(group.members)))
+        outputs(states, group.channels, *seen)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])
-            for n, name in enumerate(STATES):
-                out[name][rows, c] = states[:, at + n]
-            out["flow"][rows, c] = flow[:, j]
-            out["measured_speed"][rows, c] = shown[:, j]
-            out["mean_line_pressure"][rows, c] = mean[:, j]
+            for name, values in zip(
+                REFERENCE_SIGNALS, (*states[:, at : at + len(STATES)].T, *seen[:, :, j]), strict=True
+            ):
+                out[name][rows, c] = values
 
 
 def simulate_reference(

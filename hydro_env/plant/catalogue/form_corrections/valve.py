@@ -96,22 +96,20 @@ CORNER_SHAPE = correction(
 )  # fmt: skip
 
 
-def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6, alpha, u_rated, R, k):
+def _next_knot(curve, change, t):
     # Between two knots, an octave apart, t (1.343 - 0.343 t) of t = share / knot - 1 goes from 0 to 1 as the logarithm does.
+    t = clip(t, 0.0, 1.0)
+    return curve + change * t * (1.343 - 0.343 * t)
+
+
+def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6, alpha, u_rated, R, k):
     share = abs(opening) * (R * k / (alpha * u_rated))
-    curve = gain_0
-    t_1 = clip(share * 64.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_1 - gain_0) * t_1 * (1.343 - 0.343 * t_1)
-    t_2 = clip(share * 32.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_2 - gain_1) * t_2 * (1.343 - 0.343 * t_2)
-    t_3 = clip(share * 16.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_3 - gain_2) * t_3 * (1.343 - 0.343 * t_3)
-    t_4 = clip(share * 8.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_4 - gain_3) * t_4 * (1.343 - 0.343 * t_4)
-    t_5 = clip(share * 4.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_5 - gain_4) * t_5 * (1.343 - 0.343 * t_5)
-    t_6 = clip(share * 2.0 - 1.0, 0.0, 1.0)
-    curve = curve + (gain_6 - gain_5) * t_6 * (1.343 - 0.343 * t_6)
+    curve = _next_knot(gain_0, gain_1 - gain_0, share * 64.0 - 1.0)
+    curve = _next_knot(curve, gain_2 - gain_1, share * 32.0 - 1.0)
+    curve = _next_knot(curve, gain_3 - gain_2, share * 16.0 - 1.0)
+    curve = _next_knot(curve, gain_4 - gain_3, share * 8.0 - 1.0)
+    curve = _next_knot(curve, gain_5 - gain_4, share * 4.0 - 1.0)
+    curve = _next_knot(curve, gain_6 - gain_5, share * 2.0 - 1.0)
     return opening * (1.0 + curve)
 
 

@@ -1,4 +1,6 @@
-"""Fits to the beginning of the logs, where there is one minimum and a simulation costs little.
+"""Ways out of local minima: restarts with other friction, and fits to the beginning of the logs.
+
+At the beginning there is one minimum, and a simulation costs little.
 
 On whole logs a missing effect has pulled known parameters along, and a shaft that nearly comes to rest turns on this way or that,
 from where it is revolutions off and dominates the remaining residual: no small step repairs it. What lies before determines the
@@ -9,7 +11,7 @@ logs (`grow_horizon`), and competing candidates from every size to their first h
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,19 +20,18 @@ from ...plant import CATALOGUE
 from ..models.base import RigModel, Segment, Segments, effect_in, view
 from .estimate import Estimate
 from .fit import Fit
-from .gauss_newton import solve
+from .gauss_newton import SETTLE_ITERATIONS, solve
 from .unknowns import effect_starts
-
-__all__ = ["best_on_early_window", "early_window_of", "grow_horizon"]
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
-#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs.
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs; still smaller ones changed no name
+#: (docs/evidence/notes.md).
 HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1
 #: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
-ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
+ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, SETTLE_ITERATIONS, 4
 #: Residual (`Fit.level`) from which on a beginning is not followed: errors of 1.3 times the noise.
 LOST_LEVEL = 0.3
 #: Starts that are improved on the first horizon, and that go on from there: the estimate's and the given parameters'.
@@ -44,8 +45,6 @@ FIRST_STARTS = 3
 #: A candidate is dropped that is behind the best one by more than this, which pays for five parameters (`candidates.penalty`),
 #: and by more than this share of what the best one gains over no effect.
 FAR_BEHIND, OUT_OF_REACH = 100.0, 0.5
-#: Candidates that go on in any case: as many as a channel may have effects.
-KEPT = 3
 
 
 def early_window_of(rig: RigModel, share: float) -> RigModel:
@@ -98,19 +97,14 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             beginning = beginning.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), starts[0]))
             seen = beginning.on(fit.rig)
             beginning.rescore(starts)
-        if not _followed(beginning, starts[0]):
+        # A shaft that went the other way stays off, a spool that stuck a moment longer does not.
+        if not beginning.level(starts[0]) < LOST_LEVEL:
             break  # something is missing that this effect does not make up for
     for start in starts:
         start.columns = {}
     fit.evaluate(starts)
     solve(fit, starts, LAST_ITERATIONS)
     return min(starts, key=lambda p: p.cost)
-
-
-def _followed(fit: Fit, estimate: Estimate) -> bool:
-    """Whether nothing but a few events is missed in any signal: a shaft that went the other way stays off, a spool that stuck
-    a moment longer does not."""
-    return fit.level(estimate) < LOST_LEVEL
 
 
 def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
@@ -143,13 +137,16 @@ def best_on_early_window(
     fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
     beginning = fit.on(early_window_of(fit.rig, STAGES[0][0]))
     beginning.evaluate([p for field in fields for p in field])
-    fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
+    fields = [best_of_each(field, FIRST_STARTS) for field in fields]
     for share, iterations, kept in STAGES:
         beginning = fit.on(early_window_of(fit.rig, share))
         fields = [[p.at(p.q.copy()) for p in field] for field in fields]
         solve(beginning, [p for field in fields for p in field], iterations)
-        fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
-    return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
+        fields = [_within_reach(fit, best_of_each(field, kept)) for field in fields]
+    return [
+        [p.at(p.q.copy()) for p in best_of_each(field) if p.label][: fit.settings.max_effects]
+        for field in fields
+    ]
 
 
 def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
@@ -163,22 +160,64 @@ def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]
     return found
 
 
-def _best_of_each(field: Sequence[Estimate], count: int) -> list[Estimate]:
-    """The best `count` starts of each candidate, best first."""
+def best_of_each(
+    field: Sequence[Estimate], count: int = 1, key: Callable[[Estimate], float] = lambda p: p.cost
+) -> list[Estimate]:
+    """The best `count` estimates of each label, best first."""
     found: list[Estimate] = []
-    for p in sorted(field, key=lambda p: p.cost):
+    for p in sorted(field, key=key):
         if sum(other.label == p.label for other in found) < count:
             found.append(p)
     return found
 
 
-def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
-    """Those of a field, best first, that may still become the best."""
+def _within_reach(fit: Fit, field: Sequence[Estimate]) -> list[Estimate]:
+    """Those of a field, best first, that may still become the best; in any case as many as a channel may have effects."""
     best = field[0].cost
     fall = min(p.cost for p in field if not p.label) - best
     found: list[Estimate] = []
     for p in field:
         near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
-        if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
+        if near or not p.label or len({f.label for f in found} | {p.label}) <= fit.settings.max_effects:
             found.append(p)
     return found
+
+
+# --- restarts ---------------------------------------------------------------------------------------------------------------
+#: Base parameters that are drawn again, and the standard deviations of the factors, less than their priors': a start has to be
+#: near enough to what is found from it.
+DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
+#: New starts, iterations of each round, after which the better half goes on, and how often all this is done at most, as long as
+#: it helps. Three times free all four of the spools that are stuck in the rigs of tests/diagnosis/test_diagnosis_local_minima.py.
+STARTS, ROUNDS, MAX_TIMES = 8, (2, 3), 3
+
+
+def restart_friction(fit: Fit, estimates: Sequence[Estimate], iterations: int) -> None:
+    """Multistart: improves in place those of `estimates` that leave more than noise, but not so much that an effect is missing;
+    what becomes better is improved for `iterations` more.
+
+    A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the local minimum in
+    which they began. So the friction of the spool is drawn again several times, about the values as given and about those of the
+    estimate in turn; all starts are improved side by side, the better half for longer (successive halving).
+    """
+    rng = np.random.default_rng(0)
+    live = [p for p in estimates if any(u.name in DRAWN for u in p.unknowns)]
+    for _ in range(MAX_TIMES if fit.settings.uses("restart_friction") else 0):
+        live = [p for p in live if not fit.at_noise(p) and not fit.far_from_noise(p)]
+        fields = [[_with_other_friction(p, n % 2 == 1, rng) for n in range(STARTS)] for p in live]
+        for each in ROUNDS:
+            solve(fit, [p for starts in fields for p in starts], each)
+            fields = [sorted(starts, key=lambda p: p.cost)[: len(starts) // 2] for starts in fields]
+        live = [p for p, starts in zip(live, fields, strict=True) if p.adopt(starts[0])]
+        solve(fit, live, iterations)
+
+
+def _with_other_friction(estimate: Estimate, here: bool, rng: np.random.Generator) -> Estimate:
+    """The same with the friction of the spool drawn again, about its own or (not `here`) the given values."""
+    q = estimate.q.copy()
+    for j, u in enumerate(estimate.unknowns):
+        if u.name in DRAWN:
+            q[j] = (q[j] if here else 0.0) + DRAWN[u.name] / u.scale * rng.standard_normal()
+    twin = estimate.at(np.clip(q, *estimate.bounds))
+    twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
+    return twin
