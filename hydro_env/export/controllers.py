@@ -111,8 +111,8 @@ def write_program(folder: Path, kind: str, spec: str, program: Program, texts: d
     """Writes the files of a program, by name, and export.json."""
     for name, text in texts.items():
         write_text(folder / name, text)
-    size = sum(each.size for each in program.state)
-    _note(folder, kind, spec, [*texts], {"control_period_s": program.period, "state_numbers": size})
+    about = {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+    _note(folder, kind, spec, [*texts], about)
 
 
 def export_network(spec: str, folder: Path) -> None:

@@ -20,7 +20,7 @@ pointer priority private program property protected public read real ref referen
 ror round sel self shl shr single sizeof step string struct sub super task then this time to true trunc type union until using var
 while with word write xor"""
 #: What a variable is called that holds no value of the controller, by the first letter that it has in a schedule.
-_HELPERS = dict(g="Gathered", s="Sum", a="Copied", x="Value", v="Values", i="Index", j="Column")
+_HELPERS = {"g": "Gathered", "s": "Sum", "a": "Copied", "x": "Value", "v": "Values", "i": "Index", "j": "Column"}  # fmt: skip
 
 
 def pascal(name: str) -> str:
@@ -47,16 +47,14 @@ class Names:
         self._here.add(key)
         return made
 
-    def of_part(
-        self, schedule: Schedule, assignments: dict[tuple[str, int], Expr], named: dict[Expr, tuple[str, int]]
-    ) -> dict[str, str]:
+    def of_part(self, schedule: Schedule, named: dict[Expr, tuple[str, int]]) -> dict[str, str]:
         """New names of the variables of a part, by their old ones: what the controller's own variable is called (`named`), else
         what it is a part of."""
         self._here = set()
         called: dict[str, str] = {}
         seen: set[int] = set()
         stack: list[tuple[Any, str]] = []
-        for (array, n), root in reversed(assignments.items()):
+        for (array, n), root in reversed(schedule.assignments.items()):
             stack.append((root, f"{'' if array == 'command' else 'New'}{pascal(array)}{n + 1}"))
         while stack:
             node, label = stack.pop()

@@ -40,24 +40,25 @@ INPUTS = {
     "Pressure2": "Pa", "CommandInForce1": "-1 to 1", "CommandInForce2": "-1 to 1",
 }  # fmt: skip
 #: What else the block declares.
-_OWN = "Reset Command1 Command2 Fault Fresh Started Missed Given Measured HoldCalls Index".split()
+_OWN = (
+    "Reset", "Command1", "Command2", "Fault", "Fresh", "Started", "Missed", "Given", "Measured", "HoldCalls", "Index",
+)  # fmt: skip
 #: What a project declares beside it.
 _OTHERS = ("AnalogInput", "Controller", "Fallback", "SpeedSynchronisation", "Plc", "Main")
 
 
 def structured_text(program: Program, about: str) -> dict[str, str]:
-    """The text of NAME.st for a readable program, by file. `about`: a sentence on the controller. TraceError for a controller that
-    calls compiled functions."""
+    """The text of NAME.st for a readable program, by file. `about`: a sentence on the controller. TraceError for one that calls
+    compiled functions."""
     reader, gains, divided = Reader(), list(_gains(program)), divisors(program)
-    parts = (program.first, program.next)
-    schedules = [Schedule(part, reader, "s_", "ab"[n]) for n, part in enumerate(parts)]
+    schedules = [Schedule(program.first, reader, "s_", "a"), Schedule(program.next, reader, "s_", "b")]
     names = Names((*INPUTS, *_OWN, *(name for name, _, _ in gains)))
     renamed = {"i": "Index", "measured": "Measured"} | {f"s_{old}[{n}]": name for name, (old, n), _ in gains}
     renamed |= {f"s_{each.name}": names.new(pascal(each.name), "state") for each in program.state}
     renamed |= {each.name: names.new(pascal(each.name), "table") for each in reader.tables.values()}
     variables, bodies = {"Index": ("int", 0), "Measured": ("double", len(MEASURED))}, []
-    for schedule, part in zip(schedules, parts, strict=True):
-        called = names.of_part(schedule, part, program.names) | renamed
+    for schedule in schedules:
+        called = names.of_part(schedule, program.names) | renamed
         variables |= {called[name]: kind for name, kind in schedule.variables.items()}
         bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
     inputs = [f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items()]

@@ -212,7 +212,7 @@ def _commands(sent: Any) -> dict[tuple[str, int], Expr]:
 
 def trace(
     controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False, gains: bool = False
-) -> Program:
+) -> Program:  # fmt: skip
     """The program of a controller at a control period in s on a rig of this size; a `readable` one has names, and with `gains`
     those that are in use are inputs. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)

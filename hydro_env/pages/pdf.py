@@ -14,7 +14,9 @@ from hydro_env.files import write_bytes
 
 __all__ = ["to_pdf"]
 
-_NAMES = "chromium chromium-browser google-chrome google-chrome-stable chrome msedge microsoft-edge".split()
+_NAMES = (
+    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge", "microsoft-edge",
+)  # fmt: skip
 #: Where browsers lie that are on no path: macOS and Windows.
 _PLACES = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",

@@ -93,10 +93,9 @@ def cycles_to_zero(rows: list[dict[str, Any]]) -> int:
     [
         ("cross_coupled", Cards()),
         ("pid_paper", Cards(32767, "4-20mA", twincat=True)),
-        ("ppo", Cards()),
         *(
             pytest.param(name, Cards(), marks=pytest.mark.slow)
-            for name in ("virtual_leader", "compensated", "pid_tuned")
+            for name in ("ppo", "virtual_leader", "compensated", "pid_tuned")
         ),
     ],
 )

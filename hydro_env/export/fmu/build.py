@@ -87,14 +87,13 @@ def export_fmu(
     for version in versions:
         path = folder / f"{name}_fmi{version}.fmu"
         binaries = _write(path, source, version, name, compilers)
-        missing += [f"{each} in FMI {version}.0" for each in platforms if each not in binaries]
+        wanted = platforms or (() if binaries else (f"{sys.platform} on {platform.machine()}",))
+        missing += [f"{each} in FMI {version}.0" for each in wanted if each not in binaries]
         files.append(path)
         size = path.stat().st_size
         about.append({"file": path.name, "fmi": f"{version}.0", "bytes": size, "binaries": binaries})
-        if not platforms and not binaries:
-            missing.append(f"{sys.platform} on {platform.machine()} in FMI {version}.0")
-    known = compilers or find_compiler()
-    why = f"no binary for {', '.join(missing)}" if known else "no C compiler was found (cc, gcc, clang or $CC)"
+    without = "" if compilers or find_compiler() else "no C compiler was found (cc, gcc, clang or $CC)"
+    why = without or f"no binary for {', '.join(missing)}"
     note = f"{why}: what has no binary holds the C source only, for tools that compile it" if missing else ""
     data = {
         "schema": "hydro_env/export/1", "kind": "fmu", "model": model.to_dict(),
@@ -106,8 +105,8 @@ def export_fmu(
 
 def _compilers(platforms: tuple[str, ...]) -> dict[str, list[str]]:
     """The command of a compiler for each platform; for this machine, if there is one, where none is named."""
-    machine = sys.platform, platform.machine()
-    own = {name: find_compiler() for name, each in PLATFORMS.items() if each[0] == machine}
+    here = sys.platform, platform.machine()
+    own = {name: find_compiler() for name, each in PLATFORMS.items() if each[0] == here}
     found = {name: command for name, command in own.items() if command and name in (platforms or own)}
     for name in platforms:
         if name not in PLATFORMS:
