@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
 
+from hydro_env.cli import main
 from hydro_env.errors import InputWarning
 from hydro_env.pages import beside_results, figure, fill, png, render, svg
+from tests.browser import needs_browser
 
 
 @pytest.fixture
@@ -87,3 +91,57 @@ def test_a_name_with_dollars_is_no_formula(tmp_path: Path) -> None:
         or "mathdefault" not in text
     )
     png(drawing, tmp_path / "a.png")
+
+
+# --- PDF -----------------------------------------------------------------------------------------------------------------
+def print_pages(*pages: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["pdf", *map(str, pages), "--out", str(Path(str(pages[0])).parent / "out")])
+    return int(ended.value.code or 0)
+
+
+@needs_browser
+def test_a_page_as_pdf_with_what_its_script_draws(tmp_path: Path) -> None:
+    """On A4, with the picture as lines, not as an image of them."""
+    page = tmp_path / "a page.html"
+    drawn = "document.body.insertAdjacentHTML('beforeend', '<h2>' + ['drawn', 'later'].join('-') + '</h2>')"
+    (tmp_path / "template.html").write_text(
+        f'{{% extends "page.html" %}}{{% block body %}}{{{{ picture }}}}<script>{drawn}</script>{{% endblock %}}'
+    )
+    drawing, (axis,) = figure()
+    axis.plot(range(100), range(100))
+    page.write_text(render(tmp_path / "template.html", title="Report", picture=svg(drawing, "a line")))
+    assert print_pages(page) == 0
+    made = tmp_path / "out" / "a page.pdf"
+    printed = made.read_bytes()
+    assert printed.startswith(b"%PDF") and b"/Subtype /Image" not in printed
+    width, height = map(float, re.search(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", printed).groups())  # type: ignore[union-attr]
+    assert (round(width), round(height)) == (595, 842)
+    reader = shutil.which("pdftotext")
+    if reader is not None:
+        text = subprocess.run([reader, str(made), "-"], capture_output=True, text=True).stdout
+        assert "Report" in text and "drawn-later" in text and "1/1" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "browser", "says"),
+    [
+        ("page.json", None, "ends with .html"),
+        ("nothing.html", None, "is no file"),
+        ("page.html", "no-such-browser", "CHROME is 'no-such-browser'"),
+        ("page.html", "false", "does not print it"),
+        ("page.html", "", "install Chromium"),
+    ],
+)
+def test_what_cannot_be_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, browser: str | None, says: str
+) -> None:  # fmt: skip
+    for each in ("page.html", "page.json"):
+        (tmp_path / each).write_text("<p>text</p>")
+    if browser is not None:
+        monkeypatch.setenv("CHROME", browser)
+    if browser == "":
+        monkeypatch.setenv("PATH", str(tmp_path))
+    assert print_pages(tmp_path / name) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and says in said and not (tmp_path / "out").exists()

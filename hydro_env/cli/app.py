@@ -18,6 +18,7 @@ from hydro_env.cli.lab import lab
 from hydro_env.cli.listing import list_names
 from hydro_env.cli.live import live
 from hydro_env.cli.naming_benchmark import naming_benchmark
+from hydro_env.cli.pdf import pdf
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
 
@@ -52,6 +53,7 @@ def _options(
 
 for _command in (
     demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, live, close_loop,
+    pdf,
 ):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")

@@ -1,4 +1,4 @@
-"""The command `export` with what it exports: fmu, c, st, onnx."""
+"""The command `export` with what it exports: fmu, c, st, plc, onnx."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ export = typer.Typer(
     cls=HelpfulGroup,
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, ONNX.",
+    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, a PLC project, ONNX.",
 )
 
 # fmt: off
@@ -41,10 +41,13 @@ def fmu(
     out: Out,
     model: Annotated[str, Option(help="Preset or YAML file of the rig.")],
     fmi: Annotated[str, Option(help="Version of the standard: 2, 3 or both.")] = "both",
-) -> None:
+    platform: Annotated[list[str] | None, Option(
+        help="Platform of a binary: linux64, win64, darwin64, linux-arm64 or darwin-arm64; may be given several times (extra "
+        "`windows` for others than this machine's). Default: this machine.")] = None,
+) -> None:  # fmt: skip
     """Export a rig as a co-simulation FMU.
 
-    FMI 2.0 and 3.0, with the C source and, where there is a C compiler, a binary for this machine.
+    FMI 2.0 and 3.0, with the C source and, where there is a C compiler, binaries.
     """
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}.get(fmi)
     if versions is None:
@@ -53,7 +56,7 @@ def fmu(
         from hydro_env.export.fmu.build import export_fmu
         from hydro_env.plant import load_model
 
-        made = export_fmu(load_model(model), folder, versions)
+        made = export_fmu(load_model(model), folder, versions, tuple(platform or ()))
         if made.note:
             print(f"Note: {made.note}.")
 
@@ -86,6 +89,28 @@ def st(
         from hydro_env.export.controllers import export_controller
 
         export_controller("st", controller, folder, control_period, plant, single, trust)
+
+
+@export.command(cls=HelpfulCommand)
+def plc(
+    controller: Controller, out: Out,
+    fallback: Annotated[str, Option(metavar="CONTROLLER", help="A controller that goes by the speeds alone.")] = "pid_tuned",
+    full_scale: Annotated[int, number(
+        "Raw value of the analogue cards at 10 V or 20 mA.", Limits(1000, 32767, whole=True), "--full-scale")] = 27648,
+    signal: Annotated[str, Option(help="Signal of the sensors: 10V or 4-20mA.")] = "10V",
+    twincat: Annotated[bool, Option(
+        "--twincat", help="Declare what is wired with AT %I* and AT %Q*, as TwinCAT links it.")] = False,
+    control_period: Period = 0.01, plant: Bench = None, single: Single = False, trust: Trust = False,
+) -> None:  # fmt: skip
+    """Export a controller as a project for a PLC.
+
+    Structured Text and the same as PLCopen XML: scaling, modes, ramp, watchdog, fallback, and a task that calls it all.
+    """
+    with writing(out) as folder:
+        from hydro_env.export.plc import Cards, plc_files
+
+        cards = Cards(full_scale, signal, twincat)
+        plc_files(controller, folder, control_period, plant, single, trust, fallback, cards)
 
 
 @export.command(cls=HelpfulCommand)

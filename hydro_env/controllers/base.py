@@ -159,7 +159,12 @@ class Controller:
         """How large a rig is beside the paper's in the units of a law that is `similar`."""
         return scales_of(model)
 
-    def _converted(self, gains: Mapping[str, Floats]) -> dict[str, Floats]:
+    def gains_given(self) -> Mapping[str, Floats]:
+        """The gains for the control period, in their own units."""
+        sets = self._sets or {self.period: self._given}
+        return sets[min(sets, key=lambda known: abs(log(known / self.period)))]
+
+    def converted(self, gains: Mapping[str, Floats]) -> dict[str, Floats]:
         """Gains in the units in which the law works."""
         size = {
             gain.name: 1.0 if gain.name in self.carried else gain.size(self.scales) for gain in self.GAINS
@@ -178,8 +183,7 @@ class Controller:
         """Forgets the last episode. `control_period` in s."""
         self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
         self.guard = InputGuard(self._num_rigs, self.period)
-        sets = self._sets or {self.period: self._given}
-        self.gains = self._converted(sets[min(sets, key=lambda known: abs(log(known / self.period)))])
+        self.gains = self.converted(self.gains_given())
 
     @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +23,27 @@ from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
 
-__all__ = ["export_controller", "export_network", "program_of"]
+__all__ = ["export_controller", "export_network", "program_of", "texts_of", "tuned_on", "write_program"]
 
 
 def program_of(
-    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False
-) -> Program:
+    spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, readable: bool = False
+) -> Program:  # fmt: skip
     """What a controller does with its samples. `plant`: the rig it drives, whose valves are put on the bench where needed, by
     default that on which its gains were tuned, or the paper's; `single`: a network in single precision, as it runs in Python
-    unless asked otherwise; `trust`: as for `make_controller`.
+    unless asked otherwise; `trust`: as for `make_controller`; `readable`: with names, and with gains as inputs but for a law that
+    decides by them in plain Python.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
-    model = load_model(plant or _tuned_on(spec))
+    model = load_model(plant or tuned_on(spec))
     controller = _controller(spec, model, single, trust)
+    make = partial(trace, controller, period, controller.name.partition(":")[0], scales_of(model), readable)
     try:
-        return trace(controller, period, controller.name.partition(":")[0], scales_of(model))
+        if readable:
+            with suppress(Exception):
+                return make(gains=True)
+        return make()
     except (TraceError, TranslationError) as problem:
         raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
@@ -48,7 +55,7 @@ def _refusal(spec: str, why: object) -> InputError:
     return InputError(f"controller {spec!r} cannot be exported: {why}")
 
 
-def _tuned_on(spec: str) -> str:
+def tuned_on(spec: str) -> str:
     """The plant that a gains file names, or else the paper's."""
     path = split_gains(spec)[0]
     return str((read_gains(path).tuning if path.endswith(".json") else {}).get("plant", "paper_dead_zone"))
@@ -79,22 +86,33 @@ def _about(spec: str) -> str:
 _LANGUAGES = {"c": c_code, "st": structured_text}
 
 
+def texts_of(
+    language: str, spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, name: str = ""
+) -> tuple[Program, dict[str, str]]:  # fmt: skip
+    """A controller's program, under its own name or this one, and the texts of its files, as for `export_controller`."""
+    program = program_of(spec, period, plant, single, trust, readable=language == "st")
+    program.name = name or program.name
+    try:
+        return program, _LANGUAGES[language](program, _about(spec))
+    except TraceError as problem:
+        raise _refusal(spec, problem) from None
+
+
 def export_controller(
     language: str, spec: str, folder: Path, period: float, plant: str | None = None, single: bool = False,
     trust: bool = False,
 ) -> None:  # fmt: skip
     """Writes a controller in C ("c": NAME.h and NAME.c) or Structured Text ("st": NAME.st), and export.json. The rest as for
     `program_of`. InputError as there, and for Structured Text of one that calls compiled functions."""
-    program = program_of(spec, period, plant, single, trust)
-    try:
-        texts = _LANGUAGES[language](program, _about(spec))
-    except TraceError as problem:
-        raise _refusal(spec, problem) from None
+    write_program(folder, language, spec, *texts_of(language, spec, period, plant, single, trust))
+
+
+def write_program(folder: Path, kind: str, spec: str, program: Program, texts: dict[str, str]) -> None:
+    """Writes the files of a program, by name, and export.json."""
     for name, text in texts.items():
         write_text(folder / name, text)
-    size = sum(each.size for each in program.state)
-    about = {"control_period_s": program.period, "state_numbers": size}
-    _note(folder, language, spec, [*texts], about)
+    about = {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+    _note(folder, kind, spec, [*texts], about)
 
 
 def export_network(spec: str, folder: Path) -> None:

@@ -43,15 +43,15 @@ class _Slice:
 
 
 class Schedule:
-    """The statements (`body`) for assignments (array, index) -> expression, with the stores at their end, and their `variables`.
-    Arrays of the state are called what they are with `state` before it; `part` ends all names of variables."""
+    """The statements (`body`) for `assignments` (array, index) -> expression, with the stores at their end, and their
+    `variables`. Arrays of the state are called what they are with `state` before it; `part` ends all names of variables."""
 
     def __init__(
         self, assignments: dict[tuple[str, int], Expr], reader: Reader, state: str, part: str = ""
     ) -> None:
         self.body: list[Statement] = []
         self.variables: dict[str, tuple[str, int]] = {}
-        self._reader, self._state, self._part = reader, state, part
+        self.assignments, self._reader, self._state, self._part = assignments, reader, state, part
         self._names: dict[Expr, str] = {}  # variables of expressions
         self._arrays: dict[Any, str] = {}  # arrays of blocks and of calls
         self._depth: dict[Any, int] = {}
@@ -60,6 +60,10 @@ class Schedule:
             self._prepare(expression)
         stores = self._stores(assignments)
         self.body += stores
+
+    def name_of(self, node: Any) -> str | None:
+        """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
+        return self._names.get(node) or self._arrays.get(node)
 
     # --- names ----------------------------------------------------------------------------------------------------
     def _fresh(self, letter: str, kind: str, size: int = 0) -> str:

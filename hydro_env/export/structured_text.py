@@ -6,6 +6,7 @@ MAX, LREAL_TO_REAL and the like. What the standard lacks (tanh) is made of EXP. 
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable, Iterator
 
@@ -17,10 +18,11 @@ from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
 
 from .c_printer import bare, identifier
+from .names import Names, pascal
 from .schedule import Schedule
 from .symbols import TraceError
 from .templates import template
-from .tracing import MEASURED, Program
+from .tracing import GAIN, MEASURED, Program, divisors
 
 __all__ = ["structured_text"]
 
@@ -32,43 +34,81 @@ _BINARY = {
 _CALLED = {
     "abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS", "max": "MAX", "min": "MIN",
 }  # fmt: skip
-_UNITS = ("rad/s", "rad/s", "rad/s", "A", "A", "Pa", "Pa", "1", "1")
+#: The inputs of the block by the names of the field, and their units.
+INPUTS = {
+    "SpeedSetpoint": "rad/s", "Speed1": "rad/s", "Speed2": "rad/s", "Current1": "A", "Current2": "A", "Pressure1": "Pa",
+    "Pressure2": "Pa", "CommandInForce1": "-1 to 1", "CommandInForce2": "-1 to 1",
+}  # fmt: skip
+#: What else the block declares.
+_OWN = (
+    "Reset", "Command1", "Command2", "Fault", "Fresh", "Started", "Missed", "Given", "Measured", "HoldCalls", "Index",
+)  # fmt: skip
+#: What a project declares beside it.
+_OTHERS = ("AnalogInput", "Controller", "Fallback", "SpeedSynchronisation", "Plc", "Main")
 
 
 def structured_text(program: Program, about: str) -> dict[str, str]:
-    """The text of NAME.st for a program, by file. `about`: a sentence on the controller. TraceError for a controller that calls
+    """The text of NAME.st for a readable program, by file. `about`: a sentence on the controller. TraceError for one that calls
     compiled functions."""
-    name = identifier(program.name)
-    reader, bodies = Reader(), []
-    variables = {"i": ("int", 0), "measured": ("double", len(MEASURED))}
-    for part, assignments in (("a", program.first), ("b", program.next)):
-        schedule = Schedule(assignments, reader, "s_", part)
-        bodies.append("\n".join("    " + line for line in _statements(schedule.body)))
-        variables |= schedule.variables
-    inputs = "".join(
-        f"    {each} : LREAL; (* {unit} *)\n" for each, unit in zip(MEASURED, _UNITS, strict=True)
-    )
-    state = "".join(f"    s_{each.name} : {_type(each.kind, each.size)};\n" for each in program.state)
-    gathered = "".join(f"given[{n}] := {each};\n" for n, each in enumerate(MEASURED))
+    reader, gains, divided = Reader(), list(_gains(program)), divisors(program)
+    schedules = [Schedule(program.first, reader, "s_", "a"), Schedule(program.next, reader, "s_", "b")]
+    names = Names((*INPUTS, *_OWN, *(name for name, _, _ in gains)))
+    renamed = {"i": "Index", "measured": "Measured"} | {f"s_{old}[{n}]": name for name, (old, n), _ in gains}
+    renamed |= {f"s_{each.name}": names.new(pascal(each.name), "state") for each in program.state}
+    renamed |= {each.name: names.new(pascal(each.name), "table") for each in reader.tables.values()}
+    variables, bodies = {"Index": ("int", 0), "Measured": ("double", len(MEASURED))}, []
+    for schedule in schedules:
+        called = names.of_part(schedule, program.names) | renamed
+        variables |= {called[name]: kind for name, kind in schedule.variables.items()}
+        bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
+    inputs = [f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items()]
+    inputs += [declared for _, _, declared in gains]
+    state = [f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state]
+    gathered = "".join(f"Given[{n}] := {each};\n" for n, each in enumerate(INPUTS))
+    most = _literal(MAX_VALUE, "double")
+    within = [f"ABS({name}) <= {most}" for name, _, _ in gains]
+    within += [f"{name} > LREAL#0.0" for name, old, _ in gains if old in divided]
+    checked = f"IF NOT ({' AND '.join(within)}) THEN\n    Fault := TRUE;\nEND_IF;\n" if within else ""
     samples, last = held_samples(program.period), len(MEASURED) - 1
     text = template("controller.st").substitute(
-        name=name, period=repr(program.period), about=about, version=__version__, inputs=inputs, state=state,
+        name=block_name(program), period=repr(program.period), about=about, version=__version__,
+        state="".join(state), inputs="".join(inputs),
         variables="".join(f"    {name} : {_type(*each)};\n" for name, each in variables.items()),
-        constants="".join(map(_table, reader.tables.values())), gathered=gathered, hold=HOLD, samples=samples, last=last,
-        most=_literal(MAX_VALUE, "double").partition("#")[2], first=bodies[0], next=bodies[1],
+        constants="".join(_table(renamed[each.name], each) for each in reader.tables.values()), gathered=gathered, hold=HOLD,
+        samples=samples, last=last, most=most, checked=checked, first=bodies[0], next=bodies[1],
     )  # fmt: skip
-    return {f"{name}.st": text}
+    return {f"{identifier(program.name)}.st": text}
+
+
+def block_name(program: Program) -> str:
+    """What the function block of a program is called, so that nothing else in a project is."""
+    return Names(_OTHERS).new(pascal(program.name), "block")
+
+
+def _gains(program: Program) -> Iterator[tuple[str, tuple[str, int], str]]:
+    """Of each input for a gain: its name, its leaf in the program, and its declaration."""
+    for gain, values in program.gains:
+        about = f"{gain.unit}, tuned from {gain.low:g} to {gain.high:g}: {gain.summary}".replace("*)", ")")
+        for n, value in enumerate(values):
+            name = f"{GAIN}{identifier(gain.name)}" + ("" if len(values) == 1 else f"_{n + 1}")
+            declared = f"    {name} : LREAL := {_literal(value, 'double')}; (* {about} *)\n"
+            yield name, (GAIN + gain.name, n), declared
+
+
+def _renamed(line: str, names: dict[str, str]) -> str:
+    """A statement with the new names in it."""
+    return re.sub(rf"s_{GAIN}\w+\[\d\]|[A-Za-z_]\w*", lambda word: names.get(word[0], word[0]), line)
 
 
 def _type(kind: str, size: int) -> str:
     return f"ARRAY[0..{size - 1}] OF {_TYPES[kind]}" if size else _TYPES[kind]
 
 
-def _table(table: Table) -> str:
+def _table(name: str, table: Table) -> str:
     """The declaration of an array of constants."""
     numbers = (_literal(x, table.kind).rpartition("#")[2] for x in table.numbers)
     wrapped = "\n        ".join(textwrap.wrap(", ".join(numbers), 120))
-    return f"    {table.name} : {_type(table.kind, len(table.numbers))} := [\n        {wrapped}];\n"
+    return f"    {name} : {_type(table.kind, len(table.numbers))} := [\n        {wrapped}];\n"
 
 
 # --- statements -------------------------------------------------------------------------------------------------------
@@ -78,7 +118,7 @@ def _statements(body: Iterable[Statement]) -> Iterator[str]:
             case Assign(name, value):
                 yield f"{name} := {bare(_expression(value))};"
             case Store("command", index, value):
-                yield f"next_command_{index.known + 1} := {bare(_expression(value))};"
+                yield f"Command{index.known + 1} := {bare(_expression(value))};"
             case Store(array, index, value):
                 yield f"{array}[{bare(_expression(index))}] := {bare(_expression(value))};"
             case For(name, start, stop, 1, inner):

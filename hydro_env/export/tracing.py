@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import copy
 import inspect
+import sys
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from hydro_env.controllers.base import Gain
 from hydro_env.envs.observation import LIMIT, OBSERVATION, scales_on
 from hydro_env.ir.reader import Reader
 from hydro_env.plant import PAPER, Scales
@@ -38,12 +41,14 @@ from .symbols import (
     symbols,
 )  # fmt: skip
 
-__all__ = ["MEASURED", "Program", "StateArray", "trace"]
+__all__ = ["GAIN", "MEASURED", "Program", "StateArray", "divisors", "measured_by", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
 #: Samples after which what is kept has taken its form, or never will.
 MAX_SAMPLES = 50
+#: What the names of gains begin with that are inputs of a program.
+GAIN = "Gain_"
 #: What the names of modules begin with that controllers are made of.
 _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
@@ -62,14 +67,20 @@ class Program:
     """What a controller does with a sample: at the first one, and at all others.
 
     `first` and `next` map (array, index) of the state, and ("command", 0 or 1), to expressions of the measurements
-    ("measured", n) and of the state before. Elements of the state that are not in `next` keep their value.
+    ("measured", n), of the `gains` that are inputs (`GAIN` and the name, n), and of the state before. Elements of the state that
+    are not in `next` keep their value. `names`: what the controller's own variables are called, and which element of them it is.
     """
 
     name: str
     period: float
+    gains: list[tuple[Gain, list[float]]] = field(default_factory=list)
+    names: dict[Expr, tuple[str, int]] = field(default_factory=dict)
     state: list[StateArray] = field(default_factory=list)
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
     next: dict[tuple[str, int], Expr] = field(default_factory=dict)
+
+    def expressions(self) -> list[Expr]:
+        return [*self.first.values(), *self.next.values()]
 
 
 #: What makes new arrays.
@@ -199,20 +210,24 @@ def _commands(sent: Any) -> dict[tuple[str, int], Expr]:
     return {("command", channel): cast(plain[channel], "double") for channel in (0, 1)}
 
 
-def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Program:
-    """The program of a controller at a control period in s on a rig of this size. TraceError, in one line, for what cannot be
-    followed."""
+def trace(
+    controller: Any, period: float, name: str, rig: Scales = PAPER, readable: bool = False, gains: bool = False
+) -> Program:  # fmt: skip
+    """The program of a controller at a control period in s on a rig of this size; a `readable` one has names, and with `gains`
+    those that are in use are inputs. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
-    with interned():
+    with interned(), _named(program.names, own) if readable else nullcontext():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
+        if gains and isinstance(getattr(controller, "gains", None), dict):
+            program.gains = _gains_as_inputs(controller)
         program.first = _commands(_sample(controller, rig))
         kept = _kept_by(controller)
         settled = _settled(controller, rig)
         if {path for path, _ in kept} != set(_arrays(settled)[0]):
             raise TraceError("what it keeps between samples changes its form after the first one")
-        changing = {key for key, each in kept.items() if each.op != "const"}
+        changing = {key for key, each in kept.items() if each.op != "const" and not _of_gains_only(each)}
         while True:
             again = copy.deepcopy(settled)
             names = _as_state(again, changing, kept)
@@ -225,6 +240,54 @@ def trace(controller: Any, period: float, name: str, rig: Scales = PAPER) -> Pro
         _check_settled(again, rig)
     _fill(program, kept, after, changing, names)
     return program
+
+
+@contextmanager
+def _named(names: dict[Expr, tuple[str, int]], own: set[str]) -> Iterator[None]:
+    """Inside, what local variables of traced functions hold when these end gets their names, unless it has one."""
+
+    def seen(frame: Any, event: str, _: Any) -> None:
+        module, function = frame.f_globals.get("__name__", ""), frame.f_code.co_name
+        traced = module.startswith(_TRACED) or module in own
+        if event == "return" and traced and function[0] != "<":  # a comprehension's variables say little
+            for name, value in frame.f_locals.items():
+                for n, each in enumerate(value.elements() if isinstance(value, Symbols) else ()):
+                    names.setdefault(each, (name, n if value.size > 1 else -1))
+
+    before = sys.getprofile()
+    sys.setprofile(seen)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)
+
+
+def _gains_as_inputs(controller: Any) -> list[tuple[Gain, list[float]]]:
+    """Puts leaves in the place of the gains that are in use, one or one for each channel; these gains with their values."""
+    given, made = dict(controller.gains_given()), []
+    for gain in controller.GAINS:
+        values = np.asarray(given[gain.name])
+        if np.any(values != gain.default) and values.size <= 2:
+            leaves = [leaf(GAIN + gain.name, n, "double") for n in range(values.size)]
+            given[gain.name] = symbols(leaves, values.shape)
+            made.append((gain, values.reshape(-1).tolist()))
+    controller.gains = controller.converted(given)
+    return made
+
+
+def measured_by(program: Program) -> set[int]:
+    """Which measurements a program reads."""
+    return {n for name, n in _leaves_of(program.expressions()) if name == "measured"}
+
+
+def divisors(program: Program) -> set[tuple[str, int]]:
+    """The leaves that something is divided by."""
+    nodes = each_once(program.expressions())
+    return _leaves_of(node.args[1] for node in nodes if isinstance(node, Expr) and node.op == "div")
+
+
+def _of_gains_only(x: Expr) -> bool:
+    return {name[: len(GAIN)] for name, _ in _leaves_of([x])} == {GAIN}
 
 
 def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
@@ -296,10 +359,9 @@ def _check_settled(controller: Any, rig: Scales) -> None:
             raise TraceError(f"{path.strip('.')} is a plain Python value that changes from sample to sample")
 
 
-def _needed(roots: Iterable[Expr]) -> set[tuple[str, int]]:
-    """Elements of the state that expressions read."""
-    leaves = {node.value for node in each_once(roots) if isinstance(node, Expr) and node.op == "leaf"}
-    return {(name, index) for name, index in leaves if name != "measured"}
+def _leaves_of(roots: Iterable[Expr]) -> set[tuple[str, int]]:
+    """Measurements, gains and elements of the state that expressions read."""
+    return {node.value for node in each_once(roots) if isinstance(node, Expr) and node.op == "leaf"}
 
 
 def _fill(
@@ -315,10 +377,10 @@ def _fill(
                 f"{path.strip('.')} and {other[0].strip('.')} are the same array in some samples only"
             )
     needed: set[tuple[str, int]] = set()
-    found = _needed(program.next.values())
+    found = _leaves_of(program.next.values()) & by_name.keys()
     while found - needed:
         needed |= found
-        found = _needed(after[by_name[key]] for key in needed)
+        found = _leaves_of(after[by_name[key]] for key in needed) & by_name.keys()
     for path, name in names.items():
         mine = [n for (own, n) in needed if own == name]
         if not mine or any(each.name == name for each in program.state):

@@ -1,4 +1,4 @@
-"""An interpreter of the Structured Text that `hydro_env.export` writes: a function block becomes a Python class.
+"""An interpreter of the Structured Text that `hydro_env.export` writes: a function block or program becomes a Python object.
 
 It knows that subset alone, and is strict where IEC 61131-3 is: operands have one type, nothing is converted but by a function
 that says so, arrays are declared and read within their bounds. REAL is single precision, LREAL double.
@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 TOKEN = re.compile(
-    r"\s*(?:(?P<comment>\(\*.*?\*\))|(?P<literal>(?:LREAL|REAL|DINT)#-?[0-9.]+(?:E-?[0-9]+)?)|(?P<number>-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?|[0-9]+(?!\.[0-9]))"
-    r"|(?P<word>[A-Za-z_][A-Za-z0-9_]*)|(?P<sign>:=|<=|>=|<>|\.\.|[-+*/()\[\],;:<>=]))",
+    r"\s*(?:(?P<comment>\(\*.*?\*\))|(?P<literal>(?:LREAL|REAL|DINT)#-?[0-9.]+(?:E-?[0-9]+)?)|(?P<address>%[IQ]\*)|(?P<number>-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?|[0-9]+(?!\.[0-9]))"
+    r"|(?P<word>[A-Za-z_][A-Za-z0-9_]*)|(?P<sign>:=|<=|>=|<>|\.\.|[-+*/()\[\],;:<>=.]))",
     re.DOTALL,
 )
 PYTHON = {"=": "==", "<>": "!=", "AND": "and", "OR": "or"}
+WHOLE = ("INT", "DINT", "ANY_INT")
+UNIT = re.compile(r"^(FUNCTION_BLOCK|PROGRAM) (\w+)\n.*?^END_\1$", re.DOTALL | re.MULTILINE)
 FUNCTIONS = {"ABS": "abs", "MIN": "min", "MAX": "max", "SQRT": "sqrt", "EXP": "exp", "LN": "log"}
 
 
@@ -35,6 +37,33 @@ def tokens(text: str) -> list[str]:
     return found
 
 
+def int16(x: int) -> int:
+    if not -32768 <= x <= 32767:
+        raise OverflowError(f"INT of {x}")
+    return x
+
+
+def common(one: str, other: str) -> str:
+    """The type of both operands; a whole literal takes the other's."""
+    if one == other or (other == "ANY_INT" and one in WHOLE):
+        return one
+    if one == "ANY_INT" and other in WHOLE:
+        return other
+    raise TypeError(f"{one} with {other}")
+
+
+def units_of(text: str) -> dict[str, str]:
+    """The units of a file by name."""
+    return {unit[2]: unit[0] for unit in UNIT.finditer(text)}
+
+
+def project(text: str) -> Block:
+    """The program of a file of several units."""
+    units = units_of(text)
+    (program,) = [name for name, unit in units.items() if unit.startswith("PROGRAM")]
+    return Block(units[program], units)
+
+
 @dataclass
 class Variable:
     kind: str
@@ -43,27 +72,32 @@ class Variable:
 
 
 class Block:
-    """`FUNCTION_BLOCK` as an object: call it with its inputs, then read its outputs."""
+    """`FUNCTION_BLOCK` or `PROGRAM` as an object: call it with its inputs, then read its outputs. `units`: texts of the blocks
+    that it has instances of, by name."""
 
-    def __init__(self, text: str) -> None:
-        self.words = tokens(text)
+    def __init__(self, text: str, units: dict[str, str] | None = None) -> None:
+        self.words, self.units = tokens(text), units or {}
         self.at = 0
         self.variables: dict[str, Variable] = {}
+        self.instances: dict[str, Block] = {}
         self.inputs: list[str] = []
-        self.take("FUNCTION_BLOCK")
+        unit = self.next()
+        assert unit in ("FUNCTION_BLOCK", "PROGRAM")
         self.name = self.next()
         while self.peek().startswith("VAR"):
             self.section()
-        lines = self.statements(("END_FUNCTION_BLOCK",), 1)
-        source = "\n".join(["def body(v):", *lines])
-        space: dict[str, Any] = {"math": math, "f32": np.float32, "sel": lambda g, a, b: b if g else a}
-        exec(compile(source, self.name, "exec"), space)
+        lines = self.statements((f"END_{unit}",), 1)
+        self.source = "\n".join(["def body(v):", *lines])
+        space: dict[str, Any] = {
+            "math": math, "f32": np.float32, "sel": lambda g, a, b: b if g else a, "int16": int16,
+        }  # fmt: skip
+        exec(compile(self.source, self.name, "exec"), space)
         self.body = space["body"]
-        self.values = {name: self.fresh(each) for name, each in self.variables.items()}
+        self.values = self.instances | {name: self.fresh(each) for name, each in self.variables.items()}
 
     @staticmethod
     def fresh(each: Variable) -> Any:
-        make = {"REAL": np.float32, "LREAL": float, "DINT": int, "BOOL": bool}[each.kind]
+        make = {"REAL": np.float32, "LREAL": float, "DINT": int, "INT": int, "BOOL": bool}[each.kind]
         numbers = [make(x) for x in (each.initial or [0] * max(1, each.size))]
         return numbers if each.size else numbers[0]
 
@@ -95,6 +129,8 @@ class Block:
             self.next()
         while self.peek() != "END_VAR":
             name = self.next()
+            if self.peek() == "AT":
+                self.at += 2
             self.take(":")
             size = 0
             if self.peek() == "ARRAY":
@@ -104,12 +140,16 @@ class Block:
             if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name):
                 raise SyntaxError(f"{name} is no identifier")
             own = self.next()
+            if own in self.units and name not in self.variables:
+                self.instances[name] = Block(self.units[own], self.units)
+                self.take(";")
+                continue
             initial: list[float] = []
             if self.peek() == ":=":
                 self.next()
                 initial = self.initial()
             self.take(";")
-            if own not in ("LREAL", "REAL", "DINT", "BOOL") or name in self.variables:
+            if own not in ("LREAL", "REAL", "DINT", "INT", "BOOL") or name in self.variables:
                 raise SyntaxError(f"{name}: {own} is no type, or declared twice")
             if size and initial and len(initial) != size:
                 raise SyntaxError(f"{name}: {len(initial)} initial values for {size}")
@@ -120,7 +160,9 @@ class Block:
 
     def initial(self) -> list[float]:
         if self.peek() != "[":
-            return [self.constant(self.next())]
+            sign = -1.0 if self.peek() == "-" else 1.0
+            self.at += sign < 0.0
+            return [sign * self.constant(self.next())]
         self.next()
         numbers = [self.constant(self.next())]
         while self.peek() == ",":
@@ -169,22 +211,46 @@ class Block:
             lines += self.statements(("END_FOR",), depth + 1)
             self.take("END_FOR", ";")
             return lines
+        if word in self.instances:
+            return [indent + self.call_of_instance(word)]
         target, kind = self.place(word)
         self.take(":=")
-        value, own = self.expression()
+        value = self.value_for(kind)
         self.take(";")
-        if kind != own:
-            raise TypeError(f"{word} is {kind}, what it gets is {own}: {value}")
         return [f"{indent}{target} = {value}"]
 
+    def value_for(self, kind: str) -> str:
+        """An expression for a variable of a type."""
+        value, own = self.expression()
+        if common(kind, own) != kind:
+            raise TypeError(f"{own} for {kind}: {value}")
+        return f"int16({value})" if kind == "INT" else value
+
+    def call_of_instance(self, name: str) -> str:
+        """`Name(Input := value, ...);`"""
+        block, given, sign = self.instances[name], [], "("
+        while sign != ")":
+            self.take(sign)
+            wanted = self.next()
+            assert wanted in block.inputs, (name, wanted)
+            self.take(":=")
+            given.append(f"{wanted}={self.value_for(block.variables[wanted].kind)}")
+            sign = self.peek()
+        self.take(")", ";")
+        return f"v[{name!r}]({', '.join(given)})"
+
     def place(self, name: str) -> tuple[str, str]:
+        if name in self.instances:
+            self.take(".")
+            inner, block = self.next(), self.instances[name]
+            return f"v[{name!r}].values[{inner!r}]", block.variables[inner].kind
         variable = self.variables[name]
         if not variable.size:
             return f"v[{name!r}]", variable.kind
         self.take("[")
         index, kind = self.expression()
         self.take("]")
-        assert kind == "DINT", index
+        assert kind in ("DINT", "ANY_INT"), index
         return f"v[{name!r}][{index}]", variable.kind
 
     # --- expressions ---
@@ -196,8 +262,7 @@ class Block:
         while self.peek() in levels[level]:
             sign = self.next()
             right, other = self.expression(level + 1)
-            if kind != other:
-                raise TypeError(f"{kind} {sign} {other}: {left} {sign} {right}")
+            kind = common(kind, other)
             left = f"({left} {PYTHON.get(sign, sign)} {right})"
             kind = "BOOL" if level <= 2 else kind
         return left, kind
@@ -221,7 +286,7 @@ class Block:
         if word in ("TRUE", "FALSE"):
             return word.title(), "BOOL"
         if word.isdigit():
-            return word, "DINT"
+            return word, "ANY_INT"
         if self.peek() == "(":
             return self.call(word)
         return self.place(word)
@@ -234,13 +299,11 @@ class Block:
             values.append(self.expression())
         self.take(")")
         texts, kinds = [each[0] for each in values], [each[1] for each in values]
-        converted = re.fullmatch(r"(L?REAL|DINT|BOOL)_TO_(L?REAL|DINT)", name)
+        converted = re.fullmatch(r"(L?REAL|DINT|INT|BOOL)_TO_(L?REAL|DINT|INT)", name)
         if converted:
             assert kinds == [converted[1]], (name, kinds)
-            return (
-                f"{ {'REAL': 'f32', 'LREAL': 'float', 'DINT': 'int'}[converted[2]] }({texts[0]})",
-                converted[2],
-            )
+            make = {"REAL": "f32", "LREAL": "float", "DINT": "round", "INT": "round"}[converted[2]]
+            return f"{make}({texts[0]})", converted[2]
         if name == "SEL":
             assert kinds[0] == "BOOL" and kinds[1] == kinds[2], (name, kinds)
             return f"sel({', '.join(texts)})", kinds[1]

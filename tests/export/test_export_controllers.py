@@ -20,10 +20,11 @@ from hydro_env.cli import main
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
-from hydro_env.envs.observation import OBSERVATION, SCALES, scales_on
+from hydro_env.envs.observation import SCALES, scales_on
 from hydro_env.export.c_code import c_code
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import export_controller, program_of
+from hydro_env.export.structured_text import INPUTS
 from hydro_env.export.symbols import TraceError
 from hydro_env.export.tracing import trace
 from hydro_env.plant import Plant, load_model, scales_of
@@ -100,10 +101,10 @@ class InText:
         self.block, self.fault = Block((folder / f"{name}.st").read_text()), False
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        measured = dict(zip(OBSERVATION, (observation[0].astype(float) * SCALES).tolist(), strict=True))
+        measured = dict(zip(INPUTS, (observation[0].astype(float) * SCALES).tolist(), strict=True))
         values = self.block(**measured)
-        self.fault = values["fault"]
-        return np.array([[values["next_command_1"], values["next_command_2"]]])
+        self.fault = values["Fault"]
+        return np.array([[values["Command1"], values["Command2"]]])
 
 
 def rig_of(name: str) -> tuple[str, str | None]:
@@ -321,7 +322,24 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     controller.reset(1, PERIOD)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
     for act in (InC(Path("c").resolve(), "gro_e_1", "-O2"), InText(Path("st"), "gro_e_1")):
-        assert np.array_equal(episode(act, "setpoint_steps", "paper_dead_zone", "train"), expected)
+        assert np.abs(episode(act, "setpoint_steps", "paper_dead_zone", "train") - expected).max() < 1e-12
+
+
+def test_a_law_that_decides_by_a_gain_has_it_built_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("law.py").write_text(
+        OWN_LAW.replace("return self", "return measured.speed if float(self.gains['Ki']) > 5.0 else self")
+    )
+    spec = "law.py:Mine:Kp=0.3,Ki=0.5"
+    export_controller("st", spec, tmp_path, PERIOD)
+    controller = make_controller(spec)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    (file,) = tmp_path.glob("*.st")
+    got = episode(InText(tmp_path, file.stem), "setpoint_steps", "paper_dead_zone", "train")
+    assert "Gain_" not in file.read_text() and np.abs(got - expected).max() < 1e-12
 
 
 MASKING_LAW = """\

@@ -48,8 +48,8 @@ ALLOWED = {
     "live": "errors files reading units validation plant practice tasks measured envs controllers",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark"
     " live",
-    "cli": "errors files jit limits units plant practice tasks measured valve_bench data_sheet controllers datasets diagnosis"
-    " benchmark training experiments export fmu_plant live lab",
+    "cli": "errors files jit limits units pages plant practice tasks measured valve_bench data_sheet controllers datasets"
+    " diagnosis benchmark training experiments export fmu_plant live lab",
     "__main__": "cli",
 }
 

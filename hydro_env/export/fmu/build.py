@@ -1,11 +1,12 @@
-"""An FMU of a rig: its description, its C source, and a binary for this machine where there is a C compiler.
+"""An FMU of a rig: its description, its C source, and binaries for this machine and others where there is a C compiler.
 
-The files are made of the model alone: the same model gives the same bytes, but for the binary, which is the compiler's.
+The files are made of the model alone: the same model gives the same bytes, but for the binaries, which are the compilers'.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import platform
 import sys
 import tempfile
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env import __version__
+from hydro_env.errors import InputError, suggestion, to_install
 from hydro_env.export.c_printer import identifier
 from hydro_env.export.compiler import build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
@@ -24,7 +26,7 @@ from hydro_env.units import RPM
 
 from .description import COMMAND_REFERENCE, FIRST_REFERENCE, LOAD_REFERENCE, TIME_REFERENCE, model_description
 
-__all__ = ["Made", "export_fmu"]
+__all__ = ["PLATFORMS", "Made", "export_fmu"]
 
 HERE = Path(__file__).parent
 _MODEL_HEADER = """\
@@ -50,12 +52,14 @@ _BUILD = """\
   </BuildConfiguration>
 </fmiBuildDescription>
 """
-#: Folder of the binary and its ending, by `sys.platform` and machine: of FMI 2.0, of FMI 3.0.
-_PLATFORMS = {
-    ("linux", "x86_64"): ("linux64", "x86_64-linux", ".so"),
-    ("linux", "aarch64"): ("", "aarch64-linux", ".so"),
-    ("darwin", "x86_64"): ("darwin64", "x86_64-darwin", ".dylib"),
-    ("darwin", "arm64"): ("", "aarch64-darwin", ".dylib"),
+#: By the name of a platform: its `sys.platform` and machine, the folder of the binary in FMI 2.0 (which has none for some) and in
+#: FMI 3.0, its ending, and what Zig calls it.
+PLATFORMS = {
+    "linux64": (("linux", "x86_64"), "linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17"),
+    "linux-arm64": (("linux", "aarch64"), "", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
+    "win64": (("win32", "AMD64"), "win64", "x86_64-windows", ".dll", "x86_64-windows-gnu"),
+    "darwin64": (("darwin", "x86_64"), "darwin64", "x86_64-darwin", ".dylib", "x86_64-macos"),
+    "darwin-arm64": (("darwin", "arm64"), "", "aarch64-darwin", ".dylib", "aarch64-macos"),
 }
 
 
@@ -67,31 +71,30 @@ class Made:
     note: str
 
 
-def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 3)) -> Made:
-    """Writes NAME_fmi2.fmu and NAME_fmi3.fmu, and export.json, to a folder.
+def export_fmu(
+    model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 3), platforms: tuple[str, ...] = ()
+) -> Made:
+    """Writes NAME_fmi2.fmu and NAME_fmi3.fmu, and export.json, to a folder, with binaries for `platforms` (of `PLATFORMS`; none:
+    for this machine).
 
-    Where there is no C compiler, the files hold the source only, and the note says so. InputError if the source does not
-    compile.
+    Where there is no C compiler for this machine, the files hold the source only, and the note says so. InputError if the source
+    does not compile, for an unknown platform, and for another one than this machine's without Zig (extra `windows`).
     """
     source = plant_source(model, __version__)
     name = identifier(f"hydro_env_{model.name}"[:64])
-    compiler = find_compiler()
-    files, about = [], []
-    built = compiler is not None
+    compilers = _compilers(platforms)
+    files, about, missing = [], [], []
     for version in versions:
         path = folder / f"{name}_fmi{version}.fmu"
-        binary = _write(path, source, version, name, compiler)
-        built = built and binary
+        binaries = _write(path, source, version, name, compilers)
+        wanted = platforms or (() if binaries else (f"{sys.platform} on {platform.machine()}",))
+        missing += [f"{each} in FMI {version}.0" for each in wanted if each not in binaries]
         files.append(path)
-        about.append(
-            {"file": path.name, "fmi": f"{version}.0", "bytes": path.stat().st_size, "binary": binary}
-        )
-    note = "" if built else (
-        "no C compiler was found (cc, gcc, clang or $CC)" if compiler is None
-        else f"FMI has no name for binaries of {sys.platform} on {platform.machine()} in one of these versions"
-    )  # fmt: skip
-    if note:
-        note = f"{note}: what has no binary holds the C source only, for tools that compile it"
+        size = path.stat().st_size
+        about.append({"file": path.name, "fmi": f"{version}.0", "bytes": size, "binaries": binaries})
+    without = "" if compilers or find_compiler() else "no C compiler was found (cc, gcc, clang or $CC)"
+    why = without or f"no binary for {', '.join(missing)}"
+    note = f"{why}: what has no binary holds the C source only, for tools that compile it" if missing else ""
     data = {
         "schema": "hydro_env/export/1", "kind": "fmu", "model": model.to_dict(),
         "tolerance_rpm": source.model.tolerance / RPM, "files": about,
@@ -100,10 +103,24 @@ def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 
     return Made(tuple(files), note)
 
 
+def _compilers(platforms: tuple[str, ...]) -> dict[str, list[str]]:
+    """The command of a compiler for each platform; for this machine, if there is one, where none is named."""
+    here = sys.platform, platform.machine()
+    own = {name: find_compiler() for name, each in PLATFORMS.items() if each[0] == here}
+    found = {name: command for name, command in own.items() if command and name in (platforms or own)}
+    for name in platforms:
+        if name not in PLATFORMS:
+            raise InputError(f"--platform is {name!r}: {suggestion(name, PLATFORMS)}")
+        if name not in found and importlib.util.find_spec("ziglang") is None:
+            raise InputError(f"--platform {name} needs the compiler Zig: {to_install('windows')}")
+        found.setdefault(name, [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name][4]])
+    return found
+
+
 def _write(
-    path: Path, source: PlantSource, version: int, identifier: str, compiler: list[str] | None
-) -> bool:
-    """Writes one FMU; whether there is a binary in it."""
+    path: Path, source: PlantSource, version: int, identifier: str, compilers: dict[str, list[str]]
+) -> list[str]:
+    """Writes one FMU; the platforms for which there is a binary in it."""
     wrapper = (HERE / f"fmi{version}.c").read_text(encoding="utf-8")
     most = f", and at most {source.most_sent} changes of command under way" if source.most_sent else ""
     digest = hashlib.sha256("\n".join([source.header, source.body, wrapper, identifier]).encode()).digest()
@@ -122,17 +139,17 @@ def _write(
     }
     if version == 3:
         content["sources/buildDescription.xml"] = _BUILD.format(identifier=identifier).encode()
-    place = _PLATFORMS.get((sys.platform, platform.machine()))
-    where = place[version - 2] if place else ""
-    if compiler is not None and place and where:
-        with tempfile.TemporaryDirectory() as room:
-            for name, text in content.items():
-                if name.startswith("sources/"):
-                    (Path(room) / name.removeprefix("sources/")).write_bytes(text)
-            library = Path(room) / f"{identifier}{place[2]}"
-            build_library(compiler, [Path(room) / "plant.c", Path(room) / f"fmi{version}.c"], library)
+    binaries = [name for name in compilers if PLATFORMS[name][version - 1]]
+    with tempfile.TemporaryDirectory() as room:
+        for name, text in content.items():
+            if name.startswith("sources/"):
+                (Path(room) / name.removeprefix("sources/")).write_bytes(text)
+        for name in binaries:
+            where, ending = PLATFORMS[name][version - 1], PLATFORMS[name][3]
+            library = Path(room) / f"{identifier}{ending}"
+            build_library(compilers[name], [Path(room) / "plant.c", Path(room) / f"fmi{version}.c"], library)
             content[f"binaries/{where}/{library.name}"] = library.read_bytes()
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in content.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
-    return any(name.startswith("binaries/") for name in content)
+    return binaries
