@@ -41,7 +41,7 @@ class Rig:
     def __init__(self, text: str, mode: int = 2) -> None:
         self.plant, self.program = Plant("paper_dead_zone"), project(text)
         self.values = self.program.values
-        self.values |= {"Mode": mode, "StartRamp": 1e9}
+        self.values |= {"Mode": mode, "StartRamp": 1e9, "CommandLimit": 100.0}
 
     def raw(self) -> dict[str, int]:
         """What the cards show, by sensor."""
