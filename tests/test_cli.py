@@ -96,7 +96,9 @@ def test_every_command_takes_out(run: Run) -> None:
         name = command.name or command.callback.__name__  # type: ignore[union-attr]
         if name in ("list", "lab"):  # write only when they are asked to
             continue
-        status, _, err = run(name, *{"diagnose": ["x.csv"], "pdf": ["x.html"]}.get(name, []))
+        status, _, err = run(
+            name, *{"diagnose": ["x.csv"], "live": ["x.yaml"], "pdf": ["x.html"]}.get(name, [])
+        )
         assert status == 2 and err.startswith("error: Missing option '--out'"), name
 
 

@@ -23,7 +23,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "inspect", "mapping", "signal_column", "flow_column", "time_column", "signal_unit", "flow_unit", "time_unit", "rated",
         "row_period", "sweep_period", "one_valve",
     ),
-    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet", "port", "browser"),
+    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet", "port", "browser", "live"),
     "Output": ("out", "name", "pictures", "as_json"),
 }  # fmt: skip
 """Options, by the names of their parameters, under the heading that they stand below; all others come last."""

@@ -73,7 +73,7 @@ class _View:
             self.state.text = f"no log in {self._folder} yet"
             return
         if self._log is None or self._log.path != path:
-            self._log = Followed(path, contract_columns(), EVERY * SHOWN)
+            self._log = Followed(path, tuple(contract_columns()), EVERY * SHOWN)
         self._log.look()
         events, age = self._log.events, time.time() - path.stat().st_mtime
         state = str(events.get("state", "begins"))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.files import to_json
-from hydro_env.measured.mapping import CONTRACT, CONTRACT_RIG, contract_columns
+from hydro_env.measured.mapping import contract_columns
 from hydro_env.reading import parse_json
 from hydro_env.units import from_si
 
@@ -25,13 +25,12 @@ Floats = NDArray[np.float64]
 
 def _columns(keys: set[str]) -> dict[str, tuple[str, str]]:
     """Columns of a log by key ("speed_1"), with their units."""
-    named = CONTRACT_RIG | {
-        f"{signal}_{c}": (f"{signal}_{c}_{end}", symbol)
-        for signal, (end, symbol) in CONTRACT.items()
-        for c in (1, 2)
+    every = contract_columns().items()
+    named = {
+        signal if c is None else f"{signal}_{c + 1}": (column, symbol)
+        for column, (signal, c, symbol) in every
     }
-    order = contract_columns()
-    return dict(sorted(((key, named[key]) for key in keys), key=lambda item: order.index(item[1][0])))
+    return {key: place for key, place in named.items() if key in keys}
 
 
 class Log:
