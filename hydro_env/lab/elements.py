@@ -128,13 +128,14 @@ class Plots(ui.echart):
 
 
 def _options() -> dict[str, Any]:
-    """Three panels with one axis of time. Motor 2 is dashed, so that no curve is told by its colour alone."""
+    """Three panels with one axis of time; set-point and commands are held from row to row. Motor 2 is dashed, so that no
+    curve is told by its colour alone."""
     tops, heights = ("7%", "46%", "73%"), ("30%", "18%", "18%")
     titles = ("speed, rpm", "difference, rpm", "command, V")
     curves = (
-        (0, 1, "set-point", _GREY, "dotted"), (0, 2, "motor 1", COLOURS[0], "solid"), (0, 3, "motor 2", COLOURS[1], "dashed"),
-        (1, 4, "difference", COLOURS[3], "solid"), (2, 5, "command 1", COLOURS[0], "solid"),
-        (2, 6, "command 2", COLOURS[1], "dashed"),
+        (0, 1, "set-point", _GREY, "dotted", True), (0, 2, "motor 1", COLOURS[0], "solid", False),
+        (0, 3, "motor 2", COLOURS[1], "dashed", False), (1, 4, "difference", COLOURS[3], "solid", False),
+        (2, 5, "command 1", COLOURS[0], "solid", True), (2, 6, "command 2", COLOURS[1], "dashed", True),
     )  # fmt: skip
     axis = {"axisLabel": {"color": _GREY}, "nameTextStyle": {"color": _GREY, "align": "left"}}
     lines = {"splitLine": {"lineStyle": {"color": _GREY, "opacity": 0.25}}}
@@ -157,7 +158,7 @@ def _options() -> dict[str, Any]:
         "series": [
             {"type": "line", "name": name, "xAxisIndex": panel, "yAxisIndex": panel, "showSymbol": False, "silent": True,
              "encode": {"x": 0, "y": column}, "lineStyle": {"width": 1.6, "type": kind, "color": colour},
-             "itemStyle": {"color": colour}}
-            for panel, column, name, colour, kind in curves
+             "itemStyle": {"color": colour}, "step": "end" if held else False}
+            for panel, column, name, colour, kind, held in curves
         ],
     }  # fmt: skip
