@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
@@ -17,7 +17,7 @@ from hydro_env.errors import shown
 from hydro_env.tasks import Trace, compute
 from hydro_env.tasks.metrics import SETTLED_RPM
 
-__all__ = ["Episodes", "Step", "roll_out"]
+__all__ = ["Episodes", "Step", "inform", "roll_out"]
 
 
 SIGNALS = "setpoint_rpm", "speed_rpm", "angle_difference_deg", "peak_difference_rpm"
@@ -81,7 +81,7 @@ def roll_out(
     commands: list[Floats] = []
     if steps is not None:
         steps.append(Step(observation, info))
-    _inform(controller, env)
+    inform(controller, env.model, env.plant, lambda: _loads(env))
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
     sizes: list[NDArray[np.float32]] = []
@@ -114,15 +114,20 @@ def roll_out(
     return Episodes(trace, faults, float(np.median(sizes)), spent / (len(sizes) * len(seeds)))
 
 
-def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:
-    """Tells a controller which rig it drives, and shows it beforehand what its `needs` ask for."""
+def inform(controller: Any, model: Any, plant: Any, loads: Callable[[], Floats]) -> None:
+    """Tells a controller of which `model` its rigs are, and shows it beforehand what its `needs` ask for: a copy of the `plant`,
+    and the `loads` to come (periods, num_rigs, 2), N m."""
     if hasattr(controller, "drives"):
-        controller.drives(env.model)
+        controller.drives(model)
     needs = getattr(controller, "needs", "measurements")
     if needs != "measurements":
-        controller.prepare(env.plant.copy())
+        controller.prepare(plant.copy())
     if needs == "everything":
-        controller.foresee(np.stack([env.course(row).load for row in range(env.num_envs)], axis=1))
+        controller.foresee(loads())
+
+
+def _loads(env: HydraulicSyncVectorEnv) -> Floats:
+    return np.stack([env.course(row).load for row in range(env.num_envs)], axis=1)
 
 
 def _checked(action: Any, num_rigs: int) -> Floats:

@@ -5,7 +5,6 @@ A session runs period by period and has no clock, no thread and no page: `worker
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.controllers import CONTROLLERS, make_controller
+from hydro_env.controllers.rollout import inform
 from hydro_env.errors import InputError
 from hydro_env.lab.recording import MAX_SECONDS, Recording
 from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
@@ -265,13 +265,9 @@ class Session:
             return np.zeros(2)
 
     def _tell(self) -> None:
-        if hasattr(self._controller, "drives"):
-            self._controller.drives(self._rig.model)
-        if self._needs != "measurements":
-            self._controller.prepare(copy.deepcopy(self._rig.plant))
-        if self._needs == "everything":
-            loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
-            self._controller.foresee((loads + np.array(self.settings.load_Nm))[:, None, :])
+        loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
+        coming = (loads + np.array(self.settings.load_Nm))[:, None, :]
+        inform(self._controller, self._rig.model, self._rig.plant, lambda: coming)
         self._controller.reset(1, PERIOD)
 
     def _remember(self, reading: Reading, setpoint: float) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers import Controller, make_controller
+from hydro_env.controllers.rollout import inform
 from hydro_env.envs.observation import FRAME, OBSERVATION, Measurements, encode
 from hydro_env.errors import InputError
 from hydro_env.live.link import Link, Sample
@@ -87,13 +88,9 @@ def controlled(
 
 def _told(controller: Any, link: Link, model: PlantModel, allowed: tuple[float, float]) -> Any:
     """A controller that knows which rig it drives, as far as `model` does."""
-    needs = getattr(controller, "needs", "measurements")
-    if needs == "everything":
+    if getattr(controller, "needs", "") == "everything":
         raise InputError(f"{controller.name} needs the loads to come, which no rig tells")
-    if hasattr(controller, "drives"):
-        controller.drives(model)
-    if needs != "measurements":
-        controller.prepare(Plant(model))
+    inform(controller, model, Plant(model), lambda: np.zeros((1, 1, 2)))
     if isinstance(controller, Controller):
         controller.allowed = allowed
     controller.reset(1, link.cycle_s)
