@@ -34,8 +34,6 @@ from hydro_env.training.config import POLICY, read_config, with_changes
 from hydro_env.training.recipes import recipe
 from hydro_env.training.train import make_model
 
-__all__ = ["AGENTS", "main", "train"]
-
 
 @dataclass(frozen=True)
 class Agent:

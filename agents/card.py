@@ -23,8 +23,6 @@ from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 from hydro_env.training.evaluate import METRICS
 
-__all__ = ["ROWS", "card_rows", "interval"]
-
 ROWS = (
     *(("test_interp", name) for name in ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load")),
     ("test_extrap", "setpoint_steps"),

@@ -15,8 +15,6 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.controllers.rollout import Step, roll_out
 
-__all__ = ["clone", "demonstrations"]
-
 RIGS, EPOCHS, BATCH, RATE = 128, 5, 2048, 1e-3
 
 

@@ -30,8 +30,6 @@ from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.training.config import Config, read_config
 from hydro_env.training.train import train
 
-__all__ = ["main", "run"]
-
 CONFIG = Path(__file__).parent.parent / "configs" / "close_loop.yml"
 NAME = "ppo"
 

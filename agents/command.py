@@ -7,8 +7,6 @@ from collections.abc import Callable
 
 from hydro_env.errors import InputError, stopped_by_signals
 
-__all__ = ["run_command"]
-
 
 def run_command(work: Callable[[], None]) -> None:
     """Runs what a command of `python -m` does: bad input or a full disk end it with one line and status 2, Ctrl-C with 130,

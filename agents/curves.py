@@ -23,8 +23,6 @@ from hydro_env.files import write_bytes
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.training.config import read_config
 
-__all__ = ["draw", "read_curves"]
-
 COLOURS = {"ppo": "#0072b2", "sac": "#d55e00", "imitation": "#009e73", "gradient": "#cc79a7"}
 """Of algorithms, and of the stages of a recurrent policy."""
 CLOCKS = {"cpu_seconds": "minutes, one thread", "seconds": "minutes by the clock"}

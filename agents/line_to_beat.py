@@ -21,8 +21,6 @@ from hydro_env.files import write_bytes
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.training.evaluate import scored_pairs
 
-__all__ = ["LADDER", "PEAK", "RETURN", "SCENARIOS", "TRACKING", "ladder", "report"]
-
 SCENARIOS = ("random_steps", "setpoint_steps")
 PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
 #: Pairs that score for each pair that chose.

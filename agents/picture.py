@@ -23,8 +23,6 @@ from hydro_env.files import write_bytes
 from hydro_env.limits import Limits
 from hydro_env.plant import Plant
 
-__all__ = ["course", "draw"]
-
 WINDOWS = ((0.0, 0.9), (1.95, 2.55))
 PLANTS = {"servo_pid": "servo"}
 

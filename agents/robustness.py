@@ -29,8 +29,6 @@ from hydro_env.limits import Limits
 from hydro_env.plant import Plant, load_model
 from hydro_env.tasks import Trace, compute
 
-__all__ = ["CONDITIONS", "Condition", "drive", "study"]
-
 CONTROLLERS: tuple[str, ...] = (
     "pid_tuned",
     "cross_coupled",

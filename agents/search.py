@@ -26,8 +26,6 @@ from hydro_env.training.train import train
 if TYPE_CHECKING:
     import optuna
 
-__all__ = ["search", "suggest"]
-
 
 def suggest(trial: optuna.Trial, data: dict[str, Any]) -> dict[str, Any]:
     """A training file's content with values of a trial filled in."""

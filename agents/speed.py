@@ -26,8 +26,6 @@ from hydro_env.errors import InputError
 from hydro_env.limits import CORES, Limits
 from hydro_env.parallel import Failure, as_done
 
-__all__ = ["main", "measure", "summary"]
-
 Rates = dict[str, tuple[float, float]]
 """Control periods a second on the clock and of processor time, by stage."""
 

@@ -34,8 +34,6 @@ from hydro_env.training.config import Config, read_config
 from hydro_env.training.evaluate import METRICS, scored_pairs
 from hydro_env.training.train import make_model, train
 
-__all__ = ["SCHEMA", "main", "sweep"]
-
 SCHEMA = "hydro_env/sweep/1"
 
 

@@ -9,8 +9,6 @@ from hydro_env.controllers.estimation.bench_map import ValveMap
 from hydro_env.controllers.estimation.nominal import RATED_FLOW
 from hydro_env.plant import Plant
 
-__all__ = ["true_map"]
-
 
 def true_map(plant: Plant) -> ValveMap:
     """The curve that follows from the true parameters of every rig of a plant (friction left out)."""

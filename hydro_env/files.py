@@ -21,8 +21,6 @@ import numpy as np
 
 from hydro_env.errors import InputError
 
-__all__ = ["naming", "output_folder", "replacing", "to_json", "write_bytes", "write_json", "write_text"]
-
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:

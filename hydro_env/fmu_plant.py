@@ -40,8 +40,6 @@ from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
 from hydro_env.validation import FileTable, Number, checked, known
 
-__all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
-
 SCHEMA = "hydro_env/fmu_mapping/1"
 Floats = NDArray[np.float64]
 

@@ -36,8 +36,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["compiled", "keep", "kept", "removed_if_damaged", "sources_of_room"]
-
 MAX_BYTES = 1 << 30
 """Machine code to keep. All tests together compile a fifth of it; beyond that the oldest is removed."""
 

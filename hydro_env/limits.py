@@ -14,8 +14,6 @@ from typing import Any
 
 from hydro_env.errors import InputError, shown
 
-__all__ = ["CORES", "SEEDS", "Limits"]
-
 
 @dataclass(frozen=True)
 class Limits:

@@ -11,8 +11,6 @@ import os
 import stat
 from pathlib import Path
 
-__all__ = ["Damaged", "distrust", "sign", "verified"]
-
 _LENGTH = hashlib.sha256().digest_size
 
 

@@ -26,17 +26,6 @@ import yaml
 
 from hydro_env.errors import InputError, shown
 
-__all__ = [
-    "MAX_BYTES_OF_RESULTS",
-    "MAX_BYTES_OF_YAML",
-    "check_file",
-    "parse_json",
-    "parse_yaml",
-    "read_json",
-    "read_text",
-    "read_yaml",
-]
-
 MAX_BYTES_OF_YAML = 2**17
 """Size of a YAML file; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
 MAX_BYTES = 2**20

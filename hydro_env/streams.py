@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .jit import compiled
 
-__all__ = ["Component", "Streams", "block", "normal"]
-
 Floats = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from pydantic_core import PydanticCustomError
 
 from hydro_env.errors import InputError, shown, suggestion
 
-__all__ = ["Count", "Number", "NumberOrInfinity", "FileTable", "checked", "known"]
-
 #: What pydantic says, and what engineers do.
 _WORDS = {
     "a valid string": "text",

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["triangle"]
-
 
 def triangle(phase: NDArray[np.floating[Any]]) -> NDArray[Any]:
     """A triangle wave between -1 and 1 over `phase` in cycles: 0 at phase 0, rising, 1 at a quarter, -1 at three quarters."""

@@ -40,8 +40,6 @@ from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import write_policy
 from hydro_env.training.lock import alone_in
 
-__all__ = ["main", "train"]
-
 STAGES: dict[str, type[ImitationStage] | type[GradientStage]] = {
     "imitation": ImitationStage,
     "gradient": GradientStage,

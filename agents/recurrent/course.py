@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from hydro_env.tasks.scenarios import NOMINAL_TORQUE, Scenario
 
-__all__ = ["TRAINING"]
-
 Floats = NDArray[np.float64]
 
 SPEED = 600.0

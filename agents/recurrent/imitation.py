@@ -25,8 +25,6 @@ from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettin
 from hydro_env.controllers.mpc.planner import PlannerSettings
 from hydro_env.envs.observation import OBSERVATION, SCALES, decode
 
-__all__ = ["NOTES", "ImitationStage", "Teacher"]
-
 SPEED = SCALES[OBSERVATION.index("speed_1")]
 SENT = slice(OBSERVATION.index("command_1"), OBSERVATION.index("command_2") + 1)
 NOTES = 16

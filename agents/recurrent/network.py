@@ -13,8 +13,6 @@ from torch import Tensor, nn
 from hydro_env.controllers.learned.policy_interface import FramesInterface
 from hydro_env.envs.observation import FRAME, OBSERVATION
 
-__all__ = ["FRAMES", "RecurrentPolicy"]
-
 FRAMES = 2
 """Observations that the network sees at a time: the newest and the one before, so that it need not learn to subtract."""
 STEEPNESS = (0.7, 3.0, 12.0, 40.0, 7.0)

@@ -15,8 +15,6 @@ from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 
-__all__ = ["KNOWN", "Rigs"]
-
 KNOWN = 6
 """Numbers of a pair of valves: gain and both edges of each."""
 

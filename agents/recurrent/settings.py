@@ -11,8 +11,6 @@ from hydro_env.controllers.settings import HAND, setting
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 
-__all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "from_table", "read_settings"]
-
 S = TypeVar("S")
 MILLION = 1e6
 ENV = {"plant": "paper_dead_zone", "mismatch": "train"}

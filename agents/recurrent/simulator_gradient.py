@@ -32,8 +32,6 @@ from hydro_env.plant import Plant
 from hydro_env.plant.plant import BLOCKS
 from hydro_env.units import RPM
 
-__all__ = ["GradientStage", "Slopes"]
-
 SPEED, CURRENT, PRESSURE = (
     float(SCALES[OBSERVATION.index(f"{name}_1")]) for name in ("speed", "current", "pressure")
 )

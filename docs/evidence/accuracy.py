@@ -46,8 +46,6 @@ from hydro_env.units import RPM
 
 from . import any_rig
 
-__all__ = ["COMMANDS", "Result", "against_reference", "commands", "compare", "drawn", "loads"]
-
 Array = NDArray[np.float64]
 
 COMMANDS = ("smooth", "steps", "uniform", "gaussian", "bang_bang")

@@ -31,8 +31,6 @@ from hydro_env.reading import read_json
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.metrics import IDLE
 
-__all__ = ["compared", "rig_of"]
-
 TUNED = {"pid_tuned": "pid", "cross_coupled": "cross_coupled"}
 SCENARIOS = "setpoint_steps", "random_steps"
 METRICS = {

@@ -47,8 +47,6 @@ from hydro_env.units import BAR, REVOLUTION, RPM
 from .blind_trials.cases import Case, cases
 from .blind_trials.judging import judge
 
-__all__ = ["STAGES", "drawn", "examined", "named"]
-
 #: What belongs to the paper's rig and is said of no other one.
 OF_THE_PAPER = re.compile(r"8(\.47)? cm3|\b73(\.0)? V|\b600 rpm|0\.8 N ?m|24\.5 l|\b100 bar|paper")
 #: Largest error of a base parameter where names are judged: displacements are known to 10 %.

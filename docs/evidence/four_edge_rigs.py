@@ -43,8 +43,6 @@ from .blind_trials.running import method
 from .blind_trials.tables import markdown
 from .four_edges import Axis, simulate
 
-__all__ = ["CASES", "Case", "engineers_model", "judged", "logs", "run", "table"]
-
 SCHEMA = "hydro_env/four_edge_rigs/1"
 Array = NDArray[np.float64]
 Stream = np.random.Generator

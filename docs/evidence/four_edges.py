@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 
 from hydro_env.jit import compiled
 
-__all__ = ["SIGNALS", "Axis", "simulate"]
-
 Array = NDArray[np.float64]
 
 #: What `simulate` returns, by columns: pressures of lines A and B, Pa, and the speed as the sensor shows it, rad/s.

@@ -30,8 +30,6 @@ from hydro_env.valve_bench.bench import Sweeps
 
 from .blind_trials.tables import markdown
 
-__all__ = ["RUNS", "Run", "run"]
-
 SCHEMA = "hydro_env/measured_machines/1"
 MAPPINGS = Path(__file__).parents[2] / "configs" / "mappings"
 #: The models on a held-out log, as keys of `gap` and in words.

@@ -44,8 +44,6 @@ from .blind_trials.judging import HELD_OUT_WITHIN, judge
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
 
-__all__ = ["SCHEMA", "decided", "run", "run_rig", "table"]
-
 SCHEMA = "hydro_env/next_experiment/1"
 #: The logs of a rig: what is known first, and what is held out.
 FIRST, HELD_OUT = "fit_2", "sealed"

@@ -28,8 +28,6 @@ from hydro_env.experiments.reproduce import EQUAL_WITHIN_RPM, PUBLISHED_STEPS_RP
 from hydro_env.files import write_json
 from hydro_env.plant import CATALOGUE, Effect, Parameter, load_model, simulate
 
-__all__ = ["Answer", "paper_gap", "run", "table"]
-
 #: Shares of the plausible range that are tried, and the width of "equal again", rpm.
 SHARES = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
 WITHIN_RPM = EQUAL_WITHIN_RPM

@@ -26,8 +26,6 @@ from hydro_env.experiments.speed import commands
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, RC, png
 
-__all__ = ["draw", "main", "measure"]
-
 #: Commands that are drawn beforehand and sent again and again.
 ROWS = 8
 

@@ -30,10 +30,6 @@ from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, Metric, Trace, never_settled
 from hydro_env.tasks.metrics import IDLE
 
-__all__ = [
-    "BASELINE", "BOUND", "SCORE", "Cell", "Conditions", "by_name", "cells_of", "drive", "overall", "score_ends", "with_summaries",
-]  # fmt: skip
-
 BASELINE = "pid_tuned"
 """Who sets 0 of the score, and against whom the probability of improvement is given (the first controller where it does not take
 part)."""

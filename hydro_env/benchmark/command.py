@@ -39,8 +39,6 @@ from hydro_env.parallel import check_engine
 from hydro_env.plant import load_model, preset_names, scales_of
 from hydro_env.tasks import METRICS, OWN, SPLITS, VERSIONS, default_mismatch
 
-__all__ = ["SCHEMA", "Conditions", "Selection", "run"]
-
 SCHEMA = "hydro_env/scores/1"
 
 

@@ -13,8 +13,6 @@ from hydro_env import __version__
 from hydro_env.benchmark.cells import SCORE, SCORED, TRACE_METRIC
 from hydro_env.pages import fill
 
-__all__ = ["privileged_information", "scores_page", "scores_table"]
-
 NEEDS = {
     "measurements": "",
     "bench": "valve bench",

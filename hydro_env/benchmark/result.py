@@ -40,8 +40,6 @@ from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.tasks import SPLITS, VERSIONS
 from hydro_env.validation import FileTable, Number, checked, known
 
-__all__ = ["SCHEMA", "check", "check_protocol", "read_declared", "read_result", "write_results"]
-
 SCHEMA = "hydro_env/result/1"
 #: Of the splits and scenarios that a check drives again.
 SHARE = 0.1

@@ -14,8 +14,6 @@ from hydro_env.reading import parse_yaml, read_yaml
 from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS
 from hydro_env.validation import Count, FileTable, checked, known
 
-__all__ = ["Suite", "load_suite", "shipped_suites"]
-
 Split = Annotated[str, known("split", (*SPLITS, OWN))]
 Scenario = Annotated[str, known("scenario", SCENARIOS)]
 Metric = Annotated[str, known("metric", METRICS)]

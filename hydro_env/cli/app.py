@@ -22,8 +22,6 @@ from hydro_env.cli.pdf import pdf
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
 
-__all__ = ["app"]
-
 app = typer.Typer(
     cls=HelpfulGroup,
     add_completion=False,

@@ -123,6 +123,7 @@ def benchmark(
     Writes scores.json and scores.html; with --suite paper also result_NAME.json of each controller.
     """
     from hydro_env.benchmark import command, result
+    from hydro_env.benchmark.cells import Conditions
 
     given = [*(controllers or []), *(more or [])]
     if check is not None:
@@ -133,7 +134,7 @@ def benchmark(
     with writing(out) as folder:
         rig, split = _rig(plant, mapping, split, trust)
         selection = command.Selection(suite, split, scenario, cases, declare)
-        conditions = command.Conditions(rig, control_period, seed or 0, limit)
+        conditions = Conditions(rig, control_period, seed or 0, limit)
         scores = command.run(
             folder, controllers=given, selection=selection, conditions=conditions, engine=engine, jobs=jobs, cells_folder=cells,
             trust=trust, gains=None if as_shipped else (cells or out) / "gains",

@@ -9,8 +9,6 @@ from typer import Option
 from hydro_env.cli.options import ControlPeriod, Out, Plant, Seed, number, writing
 from hydro_env.limits import Limits
 
-__all__ = ["dataset"]
-
 
 def dataset(
     out: Out,

@@ -11,8 +11,6 @@ from typer import Argument, Option
 from hydro_env.cli.options import writing
 from hydro_env.errors import InputError
 
-__all__ = ["describe"]
-
 
 def describe(
     sheet: Annotated[

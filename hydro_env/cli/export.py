@@ -12,8 +12,6 @@ from hydro_env.cli.options import Out, number, writing
 from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
-__all__ = ["export"]
-
 export = typer.Typer(
     cls=HelpfulGroup,
     rich_markup_mode=None,

@@ -8,8 +8,6 @@ from typing import Any
 
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["HelpfulCommand", "HelpfulGroup", "examples"]
-
 GROUPS: dict[str, tuple[str, ...]] = {
     "Task": (
         "algo", "config", "steps",

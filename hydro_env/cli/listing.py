@@ -11,8 +11,6 @@ from typer import Argument, Option
 from hydro_env.errors import InputError, suggestion
 from hydro_env.files import output_folder, to_json, write_json
 
-__all__ = ["KINDS", "list_names"]
-
 SCHEMA = "hydro_env/list/1"
 
 

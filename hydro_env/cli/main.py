@@ -17,8 +17,6 @@ import typer
 from hydro_env.cli.app import app
 from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_by_signals, to_install
 
-__all__ = ["main", "run", "spread"]
-
 GARBAGE = 1_000_000
 """Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
 to search them again and again takes longer than what there is to find is worth."""

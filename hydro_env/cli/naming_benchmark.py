@@ -14,8 +14,6 @@ from hydro_env.errors import InputError, suggestion
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import Limits
 
-__all__ = ["naming_benchmark"]
-
 naming_benchmark = typer.Typer(
     cls=HelpfulGroup,
     rich_markup_mode=None,

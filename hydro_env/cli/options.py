@@ -16,11 +16,6 @@ from hydro_env.files import output_folder
 from hydro_env.limits import CORES, SEEDS, Limits
 
 # fmt: off
-__all__ = [
-    "Cells", "ControlPeriod", "EffectFiles", "Engine", "Jobs", "Model", "Out", "Pictures", "Plant", "Seed", "number", "numbers",
-    "writing",
-]
-
 
 def number(help: str, within: Limits, *names: str) -> Any:
     """An option that takes a number within limits, which its help and every refusal name."""

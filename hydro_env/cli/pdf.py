@@ -9,8 +9,6 @@ from typer import Argument
 
 from hydro_env.cli.options import Out, writing
 
-__all__ = ["pdf"]
-
 
 def pdf(
     out: Out, pages: Annotated[list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")]

@@ -13,8 +13,6 @@ from hydro_env.cli.options import Out, number
 from hydro_env.errors import InputError
 from hydro_env.limits import SEEDS, Limits
 
-__all__ = ["train"]
-
 
 def train(
     out: Out,

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HOLD", "MAX_VALUE", "InputGuard", "guarded", "held_samples"]
-
 #: How long the last good value of an input stands in for it, s.
 HOLD = 0.05
 #: What is greater is as good as infinite: a value that says "absent" where a language has no NaN.

@@ -8,8 +8,6 @@ from math import cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["InputShaper", "three_taps"]
-
 Floats = NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from hydro_env.controllers.base import Floats
 
-__all__ = ["linear_rates"]
-
 
 def linear_rates(value: Callable[[str], Floats]) -> Floats:
     """Rates (..., 5, 5) of current, travel and speed of the spool, pressure and motor speed with each of them, SI: (5), (6), (8),

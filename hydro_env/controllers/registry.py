@@ -27,8 +27,6 @@ from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
 from hydro_env.errors import InputError, place_of, shown, suggestion
 
-__all__ = ["CONTROLLERS", "LAWS", "Entry", "law_of", "make_controller", "source_of", "split_gains"]
-
 HERE = Path(__file__).parent
 
 LAWS: dict[str, type[Controller]] = {

@@ -13,8 +13,6 @@ from collections import namedtuple
 from dataclasses import field, fields
 from typing import Any
 
-__all__ = ["HAND", "TUNED", "numbers", "numbers_of", "setting"]
-
 TUNED = "tuned on `train`"
 """Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/explanation/agents.md tells how."""
 HAND = "set by hand"

@@ -13,8 +13,6 @@ from typing import Any
 from hydro_env.errors import InputError, place_of, suggestion
 from hydro_env.reading import check_file
 
-__all__ = ["checked", "controllers_in", "loaded"]
-
 
 def controllers_in(path: str) -> list[str]:
     """`file.py:Class` of every class in a file that has `reset` and `act`, in the order in which they stand there.

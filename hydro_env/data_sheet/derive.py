@@ -18,8 +18,6 @@ from hydro_env.plant import PARAMETERS
 from hydro_env.plant.catalogue.supply import steady_droop
 from hydro_env.units import BAR, LPM, MILLIMETRE, MILLISECOND, REVOLUTION, RPM
 
-__all__ = ["EFFECTS", "HOW", "Fitted", "full_flow", "parameters", "total_drop"]
-
 DENSITY = 870.0  # kg/m3, mineral oil
 #: The effects of every model that is derived here; `crossport_relief` where the sheet has it.
 EFFECTS = (

@@ -19,8 +19,6 @@ from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import PlantModel, parameter_of, scales_of
 
-__all__ = ["SCHEMA", "Described", "Figure", "describe", "write"]
-
 SCHEMA = "hydro_env/describe/1"
 #: Relative deviation of the simulated from the given figure that is marked, and what is never marked, in the figure's unit.
 _MARKED, _NEVER = 0.05, 0.2

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from hydro_env.data_sheet.derive import full_flow
 from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Supply, Valve
 
-__all__ = ["DYNAMIC", "Quantity", "quantities", "values_of"]
-
 
 @dataclass(frozen=True)
 class Quantity:

@@ -24,8 +24,6 @@ from hydro_env.errors import InputError, shown
 from hydro_env.reading import parse_yaml, read_yaml
 from hydro_env.validation import FileTable, Number, checked
 
-__all__ = ["TABLES", "DataSheet", "Lines", "Motor", "Oil", "Supply", "Valve", "ask", "read_sheet", "template"]
-
 Positive = Annotated[Number, Field(gt=0.0, le=1e6)]
 Efficiency = Annotated[Number, Field(ge=10.0, lt=100.0)]
 YesOrNo = Annotated[bool, BeforeValidator(lambda x: {"yes": True, "no": False}.get(str(x).lower(), x))]

@@ -19,8 +19,6 @@ from hydro_env.plant.model import VALVE_PARAMETERS
 from hydro_env.units import BAR, LPM, MILLISECOND, RPM
 from hydro_env.valve_bench import identify, record
 
-__all__ = ["dynamics_of", "motor_figures", "rig_figures", "steady_figures"]
-
 Floats = NDArray[np.float64]
 
 #: On the bench the drop over the valve is held, and nothing but the motor itself takes torque.

@@ -35,8 +35,6 @@ from .reward import Reward, load_reward
 from .rollout import Result, Rollout
 from .step_kernels import COLUMNS, STATE
 
-__all__ = ["HydraulicSyncVectorEnv", "Result", "row_of"]
-
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -22,8 +22,6 @@ from ..plant import Plant, PlantModel
 from ..tasks.mismatch import NAMED_PAIRS, SPLITS, default_mismatch
 from ..tasks.scenarios import SCENARIOS
 
-__all__ = ["OwnSpec", "env_spec"]
-
 #: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
     "render_mode", "render_width", "history", "increment", "errors", "observation", "privileged", "dtype", "threads", "num_envs",

@@ -23,8 +23,6 @@ from .randomisation import SEED
 from .render import PICTURES, Window
 from .reward import Reward
 
-__all__ = ["HydraulicSyncEnv"]
-
 
 class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """

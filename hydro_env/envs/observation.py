@@ -20,11 +20,6 @@ from ..plant import PAPER, Scales
 from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
-__all__ = [
-    "LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "Noise", "decode", "encode", "noise_levels", "scales_on",
-    "with_errors",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 Level = float | Sequence[float]
 #: The argument `noise`: a factor or levels, each a number or [lowest, highest].

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, shown
 
-__all__ = ["OwnObservation", "OwnReward", "Signals", "checked_rows"]
-
 #: True signals (N, ...) by their names in `info`, read-only.
 Signals = Mapping[str, NDArray[Any]]
 OwnReward = Callable[[Signals], NDArray[Any]]

@@ -16,8 +16,6 @@ from .observation import LIMIT, scales_on
 from .randomisation import Randomisation
 from .rollout import Rollout
 
-__all__ = ["Privileged", "privileged_names"]
-
 Floats = NDArray[np.float64]
 
 #: Drawn values are clipped here: a sensor that is never stuck is so from an infinite time on.

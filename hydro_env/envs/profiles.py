@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ..tasks.scenarios import Reference
 
-__all__ = ["Profiles", "encode"]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 

@@ -16,8 +16,6 @@ from ..streams import Component, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, own_values
 from .step_kernels import NEVER
 
-__all__ = ["SEED", "Episodes", "Randomisation"]
-
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 

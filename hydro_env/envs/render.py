@@ -18,8 +18,6 @@ from ..errors import to_install
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-__all__ = ["Recorder", "Window"]
-
 Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 

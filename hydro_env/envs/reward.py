@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from ..errors import InputError, shown, suggestion
 from ..limits import Limits
 
-__all__ = ["Reward", "load_reward"]
-
-
 WEIGHT = Limits(0.0, 1e6)
 
 

@@ -15,8 +15,6 @@ from ..plant import Plant
 from .profiles import Profiles
 from .step_kernels import SIGNALS, STATE, TRUE, apply, observe, take_inputs, wind
 
-__all__ = ["Result", "Rollout"]
-
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 #: observation (N, n) float32, true signals (N, TRUE), reward (N,), terminated (N,), truncated (N,)

@@ -16,8 +16,6 @@ from ..streams import block, normal
 from ..units import BAR, DEGREE, RPM
 from .observation import LIMIT
 
-__all__ = ["COLUMNS", "NEVER", "SIGNALS", "STATE", "TRUE", "apply", "observe", "take_inputs", "wind"]
-
 #: What is kept of each row from step to step.
 STATE = np.dtype(
     [

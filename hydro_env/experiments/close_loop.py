@@ -38,8 +38,6 @@ from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import constants_of, make_practice
 from hydro_env.tasks import Trace, compute, load_scenario
 
-__all__ = ["CASES", "SCENARIOS", "SCHEMA", "Settings", "run", "scored", "write"]
-
 SCHEMA = "hydro_env/close_loop/1"
 #: What is hidden, by the name of the case.
 CASES: dict[str, tuple[str, ...]] = {

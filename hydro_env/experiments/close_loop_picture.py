@@ -10,8 +10,6 @@ import numpy as np
 
 from hydro_env.pages import COLOURS, RC, png
 
-__all__ = ["draw"]
-
 SOURCES = {"wrong": "as given", "repaired": "repaired", "true": "true"}
 NAMES = {
     "pid": "PID, gains per valve", "cross_coupled": "cross coupling", "model_inverse": "inverse of the model",

@@ -12,8 +12,6 @@ import numpy as np
 
 from hydro_env.controllers.base import Floats
 
-__all__ = ["METRICS", "SOURCES", "collect", "summary", "table"]
-
 #: Models on which a controller is tuned.
 SOURCES = ("wrong", "repaired", "true")
 METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm")

@@ -19,8 +19,6 @@ from hydro_env.controllers.classical.pid import PidController
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.plant import PlantModel
 
-__all__ = ["GENERATIONS", "LAWS", "Law", "Tuning"]
-
 #: What is tuned on, how often a candidate drives it, and the rpm of tracking error that one rpm of difference is worth.
 TUNED_ON, TUNING_EPISODES, WEIGHT = "random_drives", 4, 2.0
 POPULATION, GENERATIONS = 16, 11

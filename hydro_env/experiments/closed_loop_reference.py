@@ -19,8 +19,6 @@ from hydro_env.practice.reference.forms import Constants
 from hydro_env.tasks import Scenario, Trace, load_scenario
 from hydro_env.units import RPM
 
-__all__ = ["drive"]
-
 #: Relative tolerance of the solver.
 TOLERANCE = 1e-6
 #: Sensors of the observation, in its order.

@@ -13,10 +13,6 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-__all__ = [
-    "Point", "by_channel", "covered", "given_names", "percent", "reliability", "reliability_lines", "wilson",
-]  # fmt: skip
-
 #: Edges of the bins of probability.
 BINS = (0.0, 0.3, 0.5, 0.7, 0.9, 1.0)
 

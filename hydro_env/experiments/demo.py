@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
+from hydro_env.benchmark.cells import Conditions
 from hydro_env.benchmark.report import privileged_information
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
@@ -29,8 +30,6 @@ from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, beside_results, figure, png, render, svg
 from hydro_env.practice import command as hide
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
-
-__all__ = ["run"]
 
 HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
@@ -84,7 +83,7 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     with _timed("the paper's experiment", seconds):
         paper = reproduce.run(out / "reproduce")
     with _timed("scoreboard", seconds):
-        quick, conditions = benchmark.Selection("quick"), benchmark.Conditions(seed=seed)
+        quick, conditions = benchmark.Selection("quick"), Conditions(seed=seed)
         scores = benchmark.run(out / "benchmark", selection=quick, conditions=conditions, jobs=jobs)
     with _timed("diagnosis", seconds):
         finding = _diagnosis(out / "practice", out / "diagnosis", seed)

@@ -18,8 +18,6 @@ from hydro_env.controllers.classical.pid import TABLE_III, Pid
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.units import RPM
 
-__all__ = ["LOAD_STEP", "PERIOD", "SETPOINT_STEPS", "Profile", "Traces", "equal_again_after", "run_paper"]
-
 Floats = NDArray[np.float64]
 
 #: Sampling of the controller, s.

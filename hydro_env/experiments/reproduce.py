@@ -23,10 +23,6 @@ from hydro_env.pages import COLOURS, beside_results, figure, legend, png
 from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 
-__all__ = [
-    "EQUAL_WITHIN_RPM", "PUBLISHED_STEPS_RPM", "Reproduction", "draw_steps", "reproduce", "run", "summary",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 
 #: Largest speed differences that the paper reports: Fig. 7 (set-point steps) and Fig. 8 (load step), rpm.

@@ -13,8 +13,6 @@ from hydro_env.controllers.rollout import roll_out
 from hydro_env.pages import fill
 from hydro_env.tasks import Trace
 
-__all__ = ["animation", "record"]
-
 #: Step between the rows of a trace that are kept: 20 ms, in which a shaft at 600 rpm turns by 72 degrees.
 EVERY = 2
 

@@ -24,8 +24,6 @@ from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, Plant, load_model
 from hydro_env.units import RPM
 
-__all__ = ["KINDS", "NUM_ENVS", "PLANTS", "commands", "run", "summary"]
-
 NUM_ENVS = (1, 16, 64, 256, 1024)
 #: Kinds of command, see `commands`.
 KINDS = ("smooth", "uniform", "gaussian", "bang_bang")

@@ -18,8 +18,6 @@ from hydro_env.controllers.rollout import roll_out
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel
 from hydro_env.valve_bench.bench import Valve
 
-__all__ = ["pair_model", "synchronisation"]
-
 SCENARIO = "setpoint_steps"
 #: Base parameters of the motor and its line; the others are the valve's.
 MOTOR = ("D", "J", "B", "Km", "beta", "V")

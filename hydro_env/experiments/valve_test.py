@@ -16,8 +16,6 @@ from hydro_env.pages import beside_results, png, svg
 from hydro_env.valve_bench.bench import Sweeps, Tested, bench, branches_csv, pairs_of
 from hydro_env.valve_bench.page import gain_of, page
 
-__all__ = ["CONTROLLERS", "VALVES", "run", "summary"]
-
 SCHEMA = "hydro_env/valve_test/1"
 #: Valves that are tested when none is named.
 VALVES = ("valve_1", "valve_2", "valve_3")

@@ -12,8 +12,6 @@ from .schedule import Schedule
 from .templates import template
 from .tracing import MEASURED, Program
 
-__all__ = ["c_code"]
-
 
 def c_code(program: Program, about: str) -> dict[str, str]:
     """The texts of NAME.h and NAME.c for a program, by file. `about`: a sentence on the controller."""

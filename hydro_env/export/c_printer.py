@@ -17,10 +17,6 @@ import numpy as np
 from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return, Run, Statement, Store, Table
 from ..ir.reader import Reader
 
-__all__ = [
-    "RESERVED", "TYPES", "bare", "expression", "identifier", "listed", "literal", "source", "statements", "variables",
-]  # fmt: skip
-
 #: C types of kinds of numbers.
 TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
 _BINARY = {

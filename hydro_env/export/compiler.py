@@ -11,8 +11,6 @@ from pathlib import Path
 
 from hydro_env.errors import InputError
 
-__all__ = ["FLAGS", "build_library", "find_compiler"]
-
 #: No floating-point operation is fused or reordered: Clang fuses in C99 too, where the processor can.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 

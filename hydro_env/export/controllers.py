@@ -23,8 +23,6 @@ from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
 
-__all__ = ["export_controller", "export_network", "program_of", "texts_of", "tuned_on", "write_program"]
-
 
 def program_of(
     spec: str, period: float, plant: str | None = None, single: bool = False, trust: bool = False, readable: bool = False

@@ -12,8 +12,6 @@ from importlib.util import module_from_spec, resolve_name
 from types import ModuleType
 from typing import Any
 
-__all__ = ["Copies"]
-
 
 class Copies:
     """Copies of the modules that `private` names, made as they are asked for.

@@ -12,8 +12,6 @@ from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError, Value, const
 
 from .symbols import Expr, Kernel, MaskedRows, Symbols
 
-__all__ = ["KernelCall", "kernel_call"]
-
 #: What a recorded call hands over: the number of an array, an expression, or the mask that says whether there is a row.
 Handed = int | Expr | MaskedRows
 

@@ -10,8 +10,6 @@ from .c_printer import identifier
 from .schedule import Schedule
 from .symbols import Expr, below
 
-__all__ = ["Names", "pascal"]
-
 #: Words that are no name of a variable in IEC 61131-3 or in tools after it, as far as Python's variables could be called so.
 _WORDS = """abs abstract action add adr and any array at bool by byte case class concat constant continue delete do else elsif end
 enum exit exp extends external final find for from function global goto if implements in ini initial insert int interface interval

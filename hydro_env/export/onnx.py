@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from hydro_env.controllers.learned.policy import Gru, read_policy
 from hydro_env.files import write_bytes
 
-__all__ = ["export_onnx"]
-
 ONNX_NAMES = {"tanh": "Tanh", "relu": "Relu", "elu": "Elu"}
 
 

@@ -15,9 +15,9 @@ from hydro_env.ir.nodes import Expr, const, var
 from hydro_env.ir.reader import Arr, Reader, module_sources
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
 from hydro_env.plant.catalogue import CATALOGUE
+from hydro_env.plant.catalogue.effect import parameter_of
 from hydro_env.plant.kernel import Kernel
 from hydro_env.plant.kernel.driver import MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S, SWEEPS
-from hydro_env.plant.model import parameter_of
 from hydro_env.plant.plant import USUAL_DELAY
 from hydro_env.plant.validation import accepted
 from hydro_env.units import RPM
@@ -25,8 +25,6 @@ from hydro_env.units import RPM
 from .c_printer import RESERVED, listed, literal, source
 from .c_printer import expression as c_expression
 from .templates import template
-
-__all__ = ["PlantSource", "plant_source"]
 
 #: Signals of a channel beside the states, which are outputs too.
 _OUTPUTS = ("flow", "measured_speed", "diverged")

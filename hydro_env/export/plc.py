@@ -20,8 +20,6 @@ from .structured_text import INPUTS, block_name
 from .templates import template
 from .tracing import Program, measured_by
 
-__all__ = ["SIGNALS", "Cards", "plc_files"]
-
 #: Signals of sensors, and the raw value at their lower end as a share of that at the upper one.
 SIGNALS = {"10V": -1, "4-20mA": 0}
 #: How long a speed may stay the same, to the last digit, against a command that has changed much, s.

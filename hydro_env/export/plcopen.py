@@ -11,8 +11,6 @@ from xml.etree import ElementTree as xml
 
 from .templates import template
 
-__all__ = ["plcopen_xml"]
-
 _SECTIONS = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars"}
 _UNIT = re.compile(
     r"(?:^\(\*(?P<about>[^*]*(?:\*(?!\))[^*]*)*)\*\)\n)?^(?P<kind>FUNCTION_BLOCK|PROGRAM) (?P<name>\w+)\n"

@@ -20,8 +20,6 @@ from hydro_env.ir.reader import Reader
 from .kernels import Handed, kernel_call
 from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, below, each_once
 
-__all__ = ["Schedule"]
-
 #: Operations that an expression may hold inside of one another.
 MAX_DEPTH = 5
 #: Neighbours in an array from which on they are moved in a loop, and numbers of a table from which on it is in single precision

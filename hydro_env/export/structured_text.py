@@ -24,8 +24,6 @@ from .symbols import TraceError
 from .templates import template
 from .tracing import GAIN, MEASURED, Program, divisors
 
-__all__ = ["structured_text"]
-
 _TYPES = {"bool": "BOOL", "int": "DINT", "float": "REAL", "double": "LREAL"}
 _BINARY = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "=", "ne": "<>",

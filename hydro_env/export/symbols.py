@@ -23,11 +23,6 @@ import numpy as np
 
 from hydro_env.ir import nodes
 
-__all__ = [
-    "DTYPES", "Block", "Expr", "Items", "Kernel", "MaskedRows", "RowNumbers", "Symbols", "TraceError", "below", "cast",
-    "constant", "each_once", "interned", "item", "known", "leaf", "operate", "symbols",
-]  # fmt: skip
-
 #: Elements from which on an operation stays together.
 TOGETHER = 16
 #: NumPy types by the kinds of numbers (`hydro_env.ir`).

@@ -41,8 +41,6 @@ from .symbols import (
     symbols,
 )  # fmt: skip
 
-__all__ = ["GAIN", "MEASURED", "Program", "StateArray", "divisors", "measured_by", "trace"]
-
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
 #: Samples after which what is kept has taken its form, or never will.

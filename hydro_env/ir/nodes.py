@@ -7,11 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = [
-    "KINDS", "Assign", "Break", "Continue", "Expr", "For", "Function", "If", "Return", "Run", "Statement", "Store", "Table",
-    "add", "cast", "const", "mul", "names_read", "op", "var", "wider", "without_unread",
-]  # fmt: skip
-
 #: Kinds of numbers, from the narrowest to the widest; "float" is in single precision.
 KINDS = ("bool", "int", "float", "double")
 _COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")

@@ -46,8 +46,6 @@ from .nodes import (
     without_unread,
 )  # fmt: skip
 
-__all__ = ["Arr", "Reader", "Rec", "Source", "TranslationError", "Value", "constant_of", "module_sources"]
-
 _BINARY = {
     ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.FloorDiv: "floordiv", ast.Mod: "mod",
     ast.BitAnd: "and", ast.BitOr: "or",

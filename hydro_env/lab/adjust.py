@@ -10,8 +10,6 @@ from hydro_env.plant import CATALOGUE, Parameter, Scales
 from hydro_env.plant.catalogue import PORTS, Effect
 from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM, with_unit
 
-__all__ = ["POSITIONS", "Slider", "effects_by_port", "sliders"]
-
 #: Positions on one side of the neutral value.
 POSITIONS = 100
 

@@ -14,8 +14,6 @@ from hydro_env.lab.session import Session
 from hydro_env.lab.uploads import Upload, Uploads
 from hydro_env.lab.worker import Worker
 
-__all__ = ["DiagnosisPage"]
-
 #: Seconds between two looks at the diagnosis.
 LOOK = 0.3
 ROLES = {"fit": "to fit", "held_out": "held out", "": "not used"}

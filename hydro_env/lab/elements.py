@@ -18,9 +18,6 @@ from hydro_env.measured.formats import ENDINGS
 from hydro_env.pages import COLOURS
 from hydro_env.units import RPM
 
-__all__ = ["Drop", "Motors", "Plots", "SlidingNumber", "quiet_button"]
-
-
 #: Seconds after its last move until a slider is at rest.
 AT_REST = 1.0
 

@@ -18,8 +18,6 @@ from typing import Any
 from fastapi.responses import PlainTextResponse, RedirectResponse
 from starlette.requests import HTTPConnection
 
-__all__ = ["Guard"]
-
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 #: Sent with every answer.
 HEADERS = {

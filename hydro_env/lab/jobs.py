@@ -19,8 +19,6 @@ from typing import Any
 
 from hydro_env.errors import InputError, InputWarning, to_install
 
-__all__ = ["Job", "Jobs"]
-
 #: Spawned: neither the threads of the server nor those of Numba survive a fork.
 _CONTEXT = multiprocessing.get_context("spawn")
 

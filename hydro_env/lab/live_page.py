@@ -17,8 +17,6 @@ from hydro_env.lab.session import SHOWN
 from hydro_env.live.log import Followed, newest_log
 from hydro_env.measured.mapping import contract_columns
 
-__all__ = ["LivePage"]
-
 #: Seconds without a new row after which the page says so.
 QUIET = 2.0
 

@@ -22,8 +22,6 @@ from hydro_env.lab.worker import Seen, Worker
 from hydro_env.plant.catalogue import Effect
 from hydro_env.tasks import NAMED_PAIRS, OWN, SCENARIOS, SPLITS, default_mismatch
 
-__all__ = ["RigPage", "section"]
-
 #: Seconds between two pictures, and between two sentences for a screen reader.
 PICTURE, SENTENCE = 0.1, 5.0
 #: Speeds of time that may be chosen.

@@ -11,8 +11,6 @@ from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES
 from hydro_env.plant import Scales
 from hydro_env.practice.recorder import COLUMNS, SENSORS, columns_of, log_text
 
-__all__ = ["MAX_SECONDS", "Recording"]
-
 Floats = NDArray[np.float64]
 
 #: Seconds after which a recording ends by itself.

@@ -17,8 +17,6 @@ from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
 from hydro_env.units import BAR, RPM
 
-__all__ = ["PERIOD", "LiveRig", "Reach", "Reading", "effects_offered"]
-
 Floats = NDArray[np.float64]
 
 #: Control period, s, as in the benchmark.

@@ -31,8 +31,6 @@ from hydro_env.lab.session import Session, Settings
 from hydro_env.lab.uploads import YAML_ENDINGS, Uploads
 from hydro_env.lab.worker import Worker
 
-__all__ = ["Lab", "application", "run"]
-
 HOST = "127.0.0.1"
 #: Files of a diagnosis that the page links to.
 RESULTS = ("report.html", "diagnosis.json", "model.yaml")

@@ -20,8 +20,6 @@ from hydro_env.limits import Limits
 from hydro_env.tasks import load_scenario
 from hydro_env.units import RPM
 
-__all__ = ["CASES", "COLUMNS", "MANUAL", "SHOWN", "Session", "Settings", "Snapshot"]
-
 Floats = NDArray[np.float64]
 
 #: The scenario in which the set-point is what the slider says.

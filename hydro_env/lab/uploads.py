@@ -16,8 +16,6 @@ from hydro_env.plant.model import SCHEMA as MODEL
 from hydro_env.plant.model_files import preset_names
 from hydro_env.reading import read_yaml
 
-__all__ = ["MAX_BYTES", "MAX_FILES", "Upload", "Uploads"]
-
 #: Bytes of a file, and files at a time.
 MAX_BYTES = 256 * 2**20
 MAX_FILES = 20

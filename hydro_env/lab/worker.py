@@ -13,8 +13,6 @@ from hydro_env.lab.rig import PERIOD
 from hydro_env.lab.session import Session, Snapshot
 from hydro_env.limits import Limits
 
-__all__ = ["TEMPO", "Seen", "Worker"]
-
 #: Seconds of the rig in a second of the clock.
 TEMPO = Limits(0.01, 10.0)
 

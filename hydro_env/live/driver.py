@@ -20,8 +20,6 @@ from hydro_env.practice.played import plans_of
 from hydro_env.reading import read_yaml
 from hydro_env.tasks import load_scenario
 
-__all__ = ["Driver", "controlled", "played"]
-
 Floats = NDArray[np.float64]
 
 #: Samples in which a controller shows which signals it reads.

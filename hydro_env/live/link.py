@@ -43,8 +43,6 @@ from hydro_env.reading import read_yaml
 from hydro_env.units import from_si, to_si, unit
 from hydro_env.validation import FileTable, Number, checked
 
-__all__ = ["Input", "Link", "Sample", "host_and_port", "load_link"]
-
 #: Largest command of a link file, per cent of the rated one.
 FIRST_LIMIT = 20.0
 #: How long a speed may repeat itself under command, s, unless the file says it.

@@ -18,8 +18,6 @@ from hydro_env.measured.mapping import contract_columns
 from hydro_env.reading import parse_json
 from hydro_env.units import from_si
 
-__all__ = ["Followed", "Log", "newest_log"]
-
 Floats = NDArray[np.float64]
 
 

@@ -25,8 +25,6 @@ from hydro_env.live.log import Log
 from hydro_env.live.supervisor import PATIENCE, State, Supervisor
 from hydro_env.live.transports import Transport, transport_of
 
-__all__ = ["Run"]
-
 #: Seconds after a fault that are still logged, and between two tries to reach a rig that is lost.
 LOGGED_AFTER, AGAIN = 5.0, 1.0
 #: How often zero is written in the end: a datagram may be lost.

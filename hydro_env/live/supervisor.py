@@ -21,8 +21,6 @@ from hydro_env.errors import InputError, shown
 from hydro_env.live.link import Link, Sample
 from hydro_env.units import with_unit
 
-__all__ = ["PATIENCE", "State", "Supervisor"]
-
 Floats = NDArray[np.float64]
 
 #: Good samples before anything but zero is written, and how far their pace may be from the cycle's.

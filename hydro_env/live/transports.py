@@ -19,8 +19,6 @@ from hydro_env.reading import parse_json
 
 T = TypeVar("T")
 
-__all__ = ["Transport", "transport_of"]
-
 #: Samples that may wait; older ones are dropped.
 WAITING = 4
 #: Share of a cycle in which a new sample is looked for.

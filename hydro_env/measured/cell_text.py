@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
-__all__ = ["MISSING", "SI_SUFFIX", "has_suffix", "is_number", "is_value", "seconds"]
-
 #: Powers of ten that circuit simulators and bench instruments write behind a number.
 SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 #: Cells that say that nothing was measured, in lower case.

@@ -14,8 +14,6 @@ from hydro_env.measured.mapping import LINES, USUAL_UNITS, Mapped, Mapping, quan
 from hydro_env.measured.samples import MEASURED
 from hydro_env.units import BAR, RPM, from_si
 
-__all__ = ["check_channels", "check_lines", "check_sizes", "follow"]
-
 _VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
 _LIKE = 0.3  # a load pressure is the difference of the lines if it differs by less than this share of its own swing
 _CORRELATE = 20_000  # rows that suffice for a correlation

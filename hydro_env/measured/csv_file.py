@@ -30,8 +30,6 @@ from hydro_env.measured.header import Header, find_header
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.table import Table, check_size
 
-__all__ = ["Cells", "Choose", "read_csv"]
-
 #: Lines in which the header is looked for, and lines read at a time behind them.
 _HEAD, _BLOCK = 1000, 20_000
 #: Characters of a line at most: as many as Python's csv module takes in one cell.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["SPELLING", "Finding"]
-
 #: Codes of findings about how a file is written, not about what it holds.
 SPELLING = frozenset({
     "delimiter", "decimal_comma", "encoding", "no_names", "preamble", "si_suffixes", "units_row", "time_stamps", "epoch_time",

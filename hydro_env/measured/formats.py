@@ -32,8 +32,6 @@ from hydro_env.measured.mat5 import read_mat5
 from hydro_env.measured.table import Table, check_size, naming
 from hydro_env.reading import check_file
 
-__all__ = ["ENDINGS", "read_table"]
-
 #: What reads each column of an open file, by name.
 Opened = dict[str, Callable[[], Any]]
 

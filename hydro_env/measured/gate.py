@@ -21,10 +21,6 @@ from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
 from hydro_env.units import to_si, unit
 
-__all__ = [
-    "LARGEST", "SETTLE_S", "after_gaps", "check_clock", "check_log", "check_numbers", "check_units", "jump_size", "long_gap",
-]  # fmt: skip
-
 LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
 _MIN_PERIOD_S, _MAX_PERIOD_S = 1e-4, 0.5  # between the rows of usual logs of such rigs

@@ -12,8 +12,6 @@ from hydro_env.measured.channels import follow
 from hydro_env.measured.names import meanings, named_unit, words
 from hydro_env.units import Unit
 
-__all__ = ["QUANTITIES", "Column", "Guess", "by_behaviour", "guesses"]
-
 #: What a signal may be measured as; a position is a source of speed.
 QUANTITIES = {
     "time": ("time",), "temperature": ("temperature",), "setpoint": ("angular speed", "linear speed"),

@@ -19,8 +19,6 @@ from hydro_env.measured.cell_text import MISSING, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.names import bracketed, unit_of
 
-__all__ = ["Header", "find_header"]
-
 _MARKS = ("\t", ";", ",", "|", " ")
 #: Lines alike that make a table; lines from whose end its shape is taken.
 _ALIKE, _TAIL = 3, 10

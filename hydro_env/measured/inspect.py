@@ -38,8 +38,6 @@ from .mapping import (
 )
 from .names import unit_of, words
 
-__all__ = ["Proposal", "propose", "shown"]
-
 _CHANNELS = ("channel_1", "channel_2")
 _NEEDED = {"command": "V", "speed": "rpm"}
 

@@ -12,8 +12,6 @@ from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS
 from hydro_env.measured.table import check_size, naming
 
-__all__ = ["HELD", "RigLog", "field_of"]
-
 #: Signals that are held until the next row; everything else is sampled.
 HELD = ("command", "load", "setpoint")
 

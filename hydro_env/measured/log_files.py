@@ -22,8 +22,6 @@ from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_m
 from .samples import MEASURED
 from .table import Table, naming
 
-__all__ = ["read_log", "write_log"]
-
 #: The slope of a position is taken over at most so long, s: what the dynamics of such rigs leave.
 _SLOPE_S = 0.04
 #: Noise of a speed, as a share of its range, that is worth no longer a slope.

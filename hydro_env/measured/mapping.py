@@ -39,11 +39,6 @@ from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
 from hydro_env.validation import FileTable, Number, checked
 
-__all__ = [
-    "CHANNEL_SIGNALS", "LINES", "RIG_SIGNALS", "USUAL_UNITS", "ChannelMapping", "Mapped", "Mapping", "Source", "TableStyle",
-    "contract_columns", "contract_mapping", "load_begun", "load_mapping", "quantity_of",
-]  # fmt: skip
-
 SCHEMA = "hydro_env/mapping/1"
 #: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
 LINES = ("pressure_a", "pressure_b")

@@ -18,8 +18,6 @@ import numpy as np
 
 from hydro_env.measured.table import MAX_VALUES, check_size
 
-__all__ = ["read_mat5"]
-
 #: NumPy's types by the kind of an element, and kinds of elements that hold others.
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15

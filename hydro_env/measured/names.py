@@ -8,8 +8,6 @@ from itertools import pairwise
 from hydro_env.errors import InputError
 from hydro_env.units import Unit, unit
 
-__all__ = ["bracketed", "meanings", "named_unit", "unit_of", "words"]
-
 _PLAIN = str.maketrans({"ö": "oe", "ü": "ue", "ä": "ae", "Ö": "Oe", "Ü": "Ue", "Ä": "Ae", "ß": "ss"})
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 #: Where a word ends: before a capital, at a digit.

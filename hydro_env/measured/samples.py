@@ -17,8 +17,6 @@ from hydro_env.measured.log import RigLog
 from hydro_env.measured.mapping import CONTRACT, Mapped
 from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
 
-__all__ = ["MEASURED", "check_samples", "standing_out"]
-
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse

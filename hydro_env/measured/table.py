@@ -12,8 +12,6 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 
-__all__ = ["MAX_VALUES", "Table", "check_size", "naming"]
-
 #: Numbers that a log may hold: ten signals for a day at 1 kHz, 7 GB. A file that claims or unpacks to more is refused before
 #: it fills the memory.
 MAX_VALUES = 864_000_000

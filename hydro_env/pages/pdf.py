@@ -12,8 +12,6 @@ from pathlib import Path
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
 
-__all__ = ["to_pdf"]
-
 _NAMES = (
     "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge", "microsoft-edge",
 )  # fmt: skip

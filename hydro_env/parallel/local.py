@@ -22,8 +22,6 @@ from threadpoolctl import threadpool_limits
 
 from .tasks import ATTEMPTS, answer, died, unsendable
 
-__all__ = ["in_processes"]
-
 
 def in_processes(
     tasks: Sequence[Any], function: Callable[[Any], Any], jobs: int

@@ -18,8 +18,6 @@ from hydro_env.errors import InputError, to_install
 from .store import fingerprint
 from .tasks import ATTEMPTS, Failure, answer, died, in_one_line, unsendable
 
-__all__ = ["on_ray"]
-
 
 def on_ray(tasks: Sequence[Any], function: Callable[[Any], Any]) -> Generator[tuple[int, Any], None, None]:
     """Place and result of every task as they get done by a cluster. Closing it cancels the others."""

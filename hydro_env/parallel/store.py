@@ -15,8 +15,6 @@ from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
 from hydro_env.pickles import distrust, sign, verified
 
-__all__ = ["Store", "fingerprint"]
-
 PACKAGE = Path(__file__).parents[1]
 
 

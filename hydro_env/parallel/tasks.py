@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["ATTEMPTS", "Failure", "answer", "attempt", "died", "unsendable"]
-
 ATTEMPTS = 3
 """How often a task is started whose process dies."""
 

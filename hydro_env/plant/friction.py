@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["MIN_FRICTION", "MAX_PEAK", "bristles_left", "friction_left"]
-
 #: Dry friction of the spool, N, below which the bristles are as much softer: they yield at the same travel then. And how many
 #: times one of both may be the other below that.
 MIN_FRICTION, MAX_PEAK = 0.001, 20.0

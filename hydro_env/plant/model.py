@@ -17,16 +17,6 @@ from .catalogue.effect import CATALOGUE, parameter_of
 from .parameters import PARAMETERS
 from .validation import check_channel, wrong_values
 
-__all__ = [
-    "SCHEMA",
-    "TOLERANCE",
-    "VALVE_PARAMETERS",
-    "VALVE_PORTS",
-    "PlantModel",
-    "parameter_of",
-    "ranges_of",
-]
-
 SCHEMA = "hydro_env/model/1"
 #: Error of a speed, rad/s, by which a model that says nothing else chooses its steps: 0.1 rpm.
 TOLERANCE = 0.1 * RPM

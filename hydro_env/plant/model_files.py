@@ -43,12 +43,11 @@ from ..reading import parse_yaml, read_yaml
 from ..units import RPM
 from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
-from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of, ranges_of
+from .catalogue.effect import parameter_of
+from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, ranges_of
 from .parameters import PARAMETERS
 from .scales import rated
 from .validation import wrong_values
-
-__all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
 
 _CHANNELS = ("both", "channel_1", "channel_2")
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}

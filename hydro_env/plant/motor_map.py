@@ -13,8 +13,6 @@ from .catalogue.effect import arguments
 from .catalogue.losses import FAMILY
 from .model import PlantModel
 
-__all__ = ["MotorMap", "motor_map"]
-
 Array = NDArray[np.float64]
 
 

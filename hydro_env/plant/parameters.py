@@ -14,10 +14,6 @@ from math import inf, isinf, isnan, nan
 
 from ..units import BAR, REVOLUTION, RPM
 
-__all__ = [
-    "MOTOR_SIZE", "PARAMETERS", "ROLES", "SCALINGS", "SPOOL_FORCE", "SPOOL_TRAVEL", "SUPPLY_PRESSURE", "Parameter",
-]  # fmt: skip
-
 #: Directions in which logs fix ratios of parameters only, or nearly so, named by a base parameter, with the reason. All
 #: parameters with a power in `Parameter.scaling` may be multiplied by a common factor to that power.
 SCALINGS = {

@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..errors import InputError
 from .catalogue import CATALOGUE
+from .catalogue.effect import parameter_of
 from .kernel import STATES, Kernel, compile_kernel
-from .model import PlantModel, parameter_of
+from .model import PlantModel
 from .model_files import load_model
 from .parameters import PARAMETERS
-
-__all__ = ["SIGNALS", "Lost", "Plant", "machine_memory", "simulate"]
 
 #: Signals that can be read and recorded.
 #: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from .vector_math import bell, sqrt
 
-__all__ = ["rates"]
-
 
 def rates(
     current, spool, spool_speed, bristle, pressure, speed, angle, command, load, time,

@@ -18,8 +18,6 @@ from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
 if TYPE_CHECKING:
     from .catalogue import Effect
 
-__all__ = ["PAPER", "Rig", "Scales", "rated", "scales_of", "swing"]
-
 #: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
 _DIMENSIONS: Mapping[str, Mapping[str, float]] = {
     # command, coil and spool

@@ -16,8 +16,6 @@ from .scales import PAPER, Rig, scales_of
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["accepted", "check_channel", "inside", "out_of_range", "wrong_values"]
-
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
 #: Fastest ring of a motor against its line, rad/s: a thousand times that of the paper's, some thousand steps in a control period.

@@ -12,8 +12,6 @@ from .generate import Practice, make_practice
 from .hidden import parse_values
 from .manoeuvres import RUNS
 
-__all__ = ["run"]
-
 
 def run(
     effects: Sequence[str], out: Path, *, none: bool = False, model: str = "paper", values: Sequence[str] = (),

@@ -17,10 +17,6 @@ import numpy as np
 from ..errors import InputError, suggestion
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
 
-__all__ = [
-    "SEVERITIES", "UNCERTAIN", "Hidden", "check_values", "choose", "number", "parse_effects", "parse_values", "true_model",
-]  # fmt: skip
-
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
 SEVERITIES: dict[str, tuple[float, float]] = {"small": (0.2, 0.5), "medium": (0.4, 2.0), "large": (1.5, 3.0)}
 #: Base parameters that `base_error` makes wrong.

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from ..waveforms import triangle
 
-__all__ = ["ROUND", "RUNS", "Plan", "plans"]
-
 Array = NDArray[np.float64]
 Stream = np.random.Generator
 

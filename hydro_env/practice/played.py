@@ -13,8 +13,6 @@ from ..reading import read_text
 from .hidden import number
 from .manoeuvres import Plan
 
-__all__ = ["MAX_DURATION", "plans_of"]
-
 #: Longest log that is played, s.
 MAX_DURATION = 3600.0
 _COMMANDS, _LOADS = ("command_1_V", "command_2_V"), ("load_1_Nm", "load_2_Nm")

@@ -25,18 +25,6 @@ from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
 
-__all__ = [
-    "CATALOGUE_FORMS",
-    "COLUMNS",
-    "CONTROL_PERIOD",
-    "RECORDABLE",
-    "SENSORS",
-    "Recorder",
-    "columns_of",
-    "log_text",
-    "stretch_of",
-]
-
 Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.01  # s

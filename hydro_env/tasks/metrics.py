@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, suggestion
 
-__all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute", "never_settled"]
-
 Floats = NDArray[np.float64]
 
 #: The motors of the paper's rig count as in step while their speeds differ by no more than this, rpm.

@@ -39,11 +39,6 @@ from ..units import with_unit
 from ..validation import FileTable, Number, checked, known
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
 
-__all__ = [
-    "NAMED_PAIRS", "OWN", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "default_mismatch",
-    "draw_pairs", "load_mismatch", "own_values",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.

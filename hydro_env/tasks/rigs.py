@@ -22,8 +22,6 @@ from ..plant import CATALOGUE, PARAMETERS, PlantModel, parameter_of
 from ..plant.scales import rated
 from ..units import BAR, REVOLUTION, RPM
 
-__all__ = ["DERIVED", "PACE", "QUANTITIES", "paced", "power_of_pace", "rig_values"]
-
 Floats = NDArray[np.float64]
 
 PACE = "pace"

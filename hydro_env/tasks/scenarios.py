@@ -27,8 +27,6 @@ from ..streams import Component, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
 
-__all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
-
 Floats = NDArray[np.float64]
 
 #: Nominal load torque, N m; the paper gives none. At the rated command of 73 V a valve holds 600 rpm against

@@ -29,8 +29,6 @@ from hydro_env.errors import InputError
 from hydro_env.files import naming
 from hydro_env.pickles import distrust
 
-__all__ = ["latest", "restore", "save"]
-
 SUMS = "sha256.json"
 
 

@@ -33,8 +33,6 @@ from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
 
-__all__ = ["ALGORITHMS", "ENV_ID", "POLICY", "Config", "Training", "read_config", "with_changes"]
-
 ENV_ID, POLICY = "HydraulicSync-v0", "MlpPolicy"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 # Arguments of the algorithms that are set elsewhere or have no place in a file.

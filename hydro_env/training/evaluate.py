@@ -13,8 +13,6 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.learned.policy_interface import Policy
 from hydro_env.controllers.rollout import roll_out
 
-__all__ = ["METRICS", "evaluate", "scored_pairs"]
-
 #: Where policies that are trained on these splits are scored.
 VALIDATION = {"train": "val", "train_any": "val_any"}
 METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm", "command_variation")

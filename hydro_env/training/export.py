@@ -21,8 +21,6 @@ from torch import nn
 from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA
 from hydro_env.files import write_bytes
 
-__all__ = ["export_policy", "policy_arrays", "write_policy"]
-
 ACTIVATIONS = {nn.Tanh: "tanh", nn.ReLU: "relu", nn.ELU: "elu"}
 
 

@@ -12,8 +12,6 @@ from filelock import FileLock, Timeout
 
 from hydro_env.errors import InputError
 
-__all__ = ["alone_in"]
-
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:

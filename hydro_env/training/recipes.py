@@ -6,8 +6,6 @@ from pathlib import Path
 
 from hydro_env.errors import InputError, suggestion
 
-__all__ = ["RECIPES", "recipe"]
-
 #: Their names, and what they train.
 RECIPES = {
     "ppo": "the shipped agent `ppo`, from the plain observation, in a quarter of an hour",

@@ -40,8 +40,6 @@ from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import export_policy
 from hydro_env.training.lock import alone_in
 
-__all__ = ["make_model", "train"]
-
 SEED_SPACING = 2**40
 """Between the first rigs of the runs of two successive seeds: more than the rigs of any run."""
 

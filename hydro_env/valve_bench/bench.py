@@ -26,8 +26,6 @@ from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import own_channels, record_rates
 
-__all__ = ["Sweeps", "Tested", "Valve", "bench", "branches_csv", "distance", "most_alike", "pairs_of"]
-
 
 @dataclass(frozen=True)
 class Sweeps:

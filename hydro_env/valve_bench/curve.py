@@ -18,8 +18,6 @@ from scipy.stats import spearmanr
 from hydro_env.errors import InputError
 from hydro_env.units import LPM
 
-__all__ = ["FLOW", "LEAKAGE", "Branch", "Curve", "Loop", "Monotone", "branches_of", "loop_of", "resolution"]
-
 Floats = NDArray[np.float64]
 
 #: Kinds of curve: flow that follows the signal, or internal leakage, which has a peak near the null.

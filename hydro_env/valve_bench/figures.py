@@ -31,8 +31,6 @@ from hydro_env.units import LPM
 from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, Monotone, loop_of, resolution
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of, peak_of
 
-__all__ = ["Figures", "Side", "identify", "sides_of", "widths"]
-
 #: Shares of the largest flow between which each figure is read.
 EDGE, LINE, LINEAR, WIDTH = (0.03, 0.5), (0.1, 0.8), (0.05, 0.95), (0.02, 0.98)
 #: The directions of the flow.

@@ -11,8 +11,6 @@ from scipy.optimize import isotonic_regression
 
 from hydro_env.valve_bench.curve import Floats, Loop
 
-__all__ = ["Flanks", "flank_signals", "flanks_of", "peak_of"]
-
 #: Heights of the flanks that are compared.
 HEIGHTS = np.linspace(0.25, 0.75, 41)
 

@@ -9,8 +9,6 @@ from typing import Any
 from hydro_env import __version__
 from hydro_env.pages import render
 
-__all__ = ["gain_of", "page"]
-
 Valve = Mapping[str, Any]
 #: Digits after the point of percentages: a hundredth of a percent of the rated signal is finer than any valve repeats.
 DIGITS = 2

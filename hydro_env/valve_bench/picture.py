@@ -16,8 +16,6 @@ from hydro_env.valve_bench.curve import Curve, Loop, Monotone, loop_of
 from hydro_env.valve_bench.figures import Figures
 from hydro_env.valve_bench.rates import RateCheck
 
-__all__ = ["draw_curves", "draw_rates"]
-
 DOT: Any = {"markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.7, "zorder": 5}
 #: Factor and label of the axis of a signal, by its unit.
 AXES = {"A": (1e3, "current, mA"), "V": (1.0, "command, V"), "m": (1e3, "spool travel, mm")}

@@ -22,8 +22,6 @@ from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, Monot
 from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
 
-__all__ = ["RateCheck", "Sweep", "check_rates", "sweeps_of"]
-
 #: Rates must differ by this factor to tell anything.
 APART = 1.5
 #: Heights of the flow at which loops are compared, and the number of blocks they fall into on each side.

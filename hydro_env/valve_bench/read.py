@@ -21,8 +21,6 @@ from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
 
-__all__ = ["Columns", "read_curve"]
-
 #: What a valve's input may be measured as, and the unit it has in a curve.
 QUANTITIES = {"current": "A", "voltage": "V", "fraction": "1", "length": "m"}
 #: Most rows of a file that may lack a number.

@@ -18,8 +18,6 @@ from hydro_env.plant import CATALOGUE, Plant, PlantModel
 from hydro_env.valve_bench.curve import Curve
 from hydro_env.waveforms import triangle
 
-__all__ = ["SIGNALS", "own_channels", "record", "record_rates", "record_rigs"]
-
 #: What can be taken as the valve's input, and its unit.
 SIGNALS = {"current": "A", "command": "V"}
 #: Time between two recorded samples is this share of the sweep, and at least `MIN_PERIOD` s.

@@ -20,8 +20,6 @@ from .cases import WITH_NAME
 from .running import rows_of
 from .tables import markdown, share
 
-__all__ = ["ablation", "ablation_table", "folder_without", "write_ablation"]
-
 SCHEMA = "hydro_env/ablation/1"
 _PREFIX = "without_"
 

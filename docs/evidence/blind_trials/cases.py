@@ -10,8 +10,6 @@ import numpy as np
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, Effect
 
-__all__ = ["EMPTY", "GROUPS", "WITH_NAME", "Case", "cases", "commands"]
-
 #: Largest error of a base parameter.
 BASE_ERROR = 0.15
 EVERYTHING = ("setpoint", "current", "pressure", "load")

@@ -12,8 +12,6 @@ from hydro_env.experiments import coverage
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.plant import CATALOGUE, parameter_of
 
-__all__ = ["CRITERIA", "HELD_OUT_WITHIN", "Criterion", "covered", "judge", "summary"]
-
 #: A held-out speed error counts as explained within this multiple of the noise.
 HELD_OUT_WITHIN = 1.3
 #: Width of an interval of 90 % of a normal distribution, as a share of that of 95 %.

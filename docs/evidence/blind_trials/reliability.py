@@ -8,8 +8,6 @@ from typing import Any
 
 from hydro_env.experiments.coverage import Point, given_names, reliability, wilson
 
-__all__ = ["draw", "of_trials"]
-
 
 def of_trials(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Point]]:
     """The names of all trials by whether they were confirmed: "answers" and "guesses"."""

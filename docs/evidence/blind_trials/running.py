@@ -28,8 +28,6 @@ from hydro_env.units import BAR, RPM
 from .cases import GROUPS, Case
 from .judging import covered, judge
 
-__all__ = ["SCHEMA", "Running", "line", "method", "practice_logs", "rows_of", "run_case", "run_trials"]
-
 SCHEMA = "hydro_env/trials/4"
 
 #: Columns of a log that show what an effect does: the simulator's signal, and the column's unit in SI.

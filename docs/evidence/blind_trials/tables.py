@@ -15,8 +15,6 @@ from .judging import HELD_OUT_WITHIN, summary
 from .reliability import of_trials
 from .running import SCHEMA
 
-__all__ = ["markdown", "publish", "share", "table"]
-
 Row = Mapping[str, Any]
 
 

@@ -9,8 +9,6 @@ from hydro_env.controllers.classical.cross_coupling import CrossCoupled
 from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.estimation.nominal import Motor
 
-__all__ = ["Compensated"]
-
 MOTOR = Motor()
 BLEND = Gain("blend", "1", 1e-3, 0.1, summary="share of the rated flow below which the inverse is a ramp")
 

@@ -16,8 +16,6 @@ from hydro_env.controllers.classical.reference import DoublePole
 from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.spool import SpoolModel, SpoolSettings, channel_of
 
-__all__ = ["DisturbanceObserver"]
-
 MOTOR = Motor()
 SPOOL = SpoolSettings(damping=0.15, friction=0.0, coil=1e-6)
 """The rated spool, linear: more damping takes the place of friction and coil."""

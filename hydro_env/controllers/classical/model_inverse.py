@@ -18,8 +18,6 @@ from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.waveforms import triangle
 
-__all__ = ["ModelInverse", "flow_curve"]
-
 #: Part of a valve's largest flow that the reference may ask for; the rest is left to feedback.
 RESERVE = 0.9
 #: Control periods between a command and the speed that it makes, about: filter, hold, coil and spool.

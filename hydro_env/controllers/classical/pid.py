@@ -23,8 +23,6 @@ from hydro_env.controllers.base import (
     Measurements,
 )
 
-__all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "RampedPid", "per_rpm"]
-
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""
 

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from hydro_env.controllers.base import Floats
 
-__all__ = ["DoublePole", "FirstOrder"]
-
 
 class FirstOrder:
     """The set-point through a first-order lag."""

@@ -14,8 +14,6 @@ from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
-__all__ = ["FromTheBench", "ValveMap"]
-
 UNREAD = ((0.1, 0.8), (0.1, 0.8))
 """Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
 

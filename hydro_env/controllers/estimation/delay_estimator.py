@@ -12,9 +12,6 @@ from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
-__all__ = ["MAX_DELAY", "DelayEstimator", "DelaySettings"]
-
-
 MAX_DELAY = 2
 """Longest delay that is recognised, periods."""
 

@@ -16,9 +16,6 @@ from hydro_env.controllers.estimation.spool import Channel, SpoolModel, SpoolSet
 from hydro_env.controllers.estimation.valve_estimator import ValveEstimator, ValveSettings
 from hydro_env.envs.observation import Measurements
 
-__all__ = ["Estimator", "EstimatorSettings"]
-
-
 LEAKAGE_TORQUE = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
 """Torque of the rated flow through the nominal leakage, N m."""
 

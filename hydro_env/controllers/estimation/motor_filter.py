@@ -19,9 +19,6 @@ from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SP
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
-__all__ = ["MotorFilter", "MotorFilterSettings", "MotorState"]
-
-
 INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))
 TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE
 """Standard deviation of the torque read from a pressure sensor, N m."""

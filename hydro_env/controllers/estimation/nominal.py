@@ -17,11 +17,6 @@ from hydro_env.plant import PARAMETERS
 from hydro_env.plant.sensors import NOISE
 from hydro_env.units import BAR, RPM
 
-__all__ = [
-    "FLOW_NOISE", "FLOWING", "NOMINAL", "PRESSURE_NOISE", "RATED_FLOW", "RATED_TRAVEL", "SPEED_NOISE", "SPOOL_RATE",
-    "STICTION", "TUNED_PERIOD", "Motor",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}

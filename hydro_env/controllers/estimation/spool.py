@@ -18,11 +18,6 @@ from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 
-__all__ = [
-    "Channel", "SpoolModel", "SpoolSettings", "channel_of", "deadbeat_position", "deadbeat_state", "follow",
-    "substep", "valve_flow",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class SpoolSettings:

@@ -23,8 +23,6 @@ from hydro_env.controllers.estimation.spool import SpoolModel
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
-__all__ = ["ValveEstimator", "ValveSettings", "ValveState"]
-
 
 @dataclass(frozen=True)
 class ValveSettings:

@@ -24,8 +24,6 @@ from hydro_env.controllers.learned.policy_interface import Policy, make_interfac
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
-__all__ = ["RECURRENT_SCHEMA", "SCHEMA", "Network", "NumpyPolicy", "read_policy"]
-
 SCHEMA = "hydro_env/policy/2"
 RECURRENT_SCHEMA = "hydro_env/policy/3"
 """Of files with a recurrent layer, which readers of the other schema would not understand."""

@@ -17,8 +17,6 @@ from hydro_env.envs.observation import ERRORS, FRAME, with_errors
 from hydro_env.errors import InputError, shown
 from hydro_env.limits import Limits
 
-__all__ = ["FramesInterface", "Policy", "make_interface"]
-
 #: What the keys of an interface's table may be, beside `kind` and `errors`; `width` is that of an observation.
 LIMITS = {
     "frames": Limits(1, 999, whole=True),

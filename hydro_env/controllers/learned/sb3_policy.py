@@ -20,8 +20,6 @@ from hydro_env.envs.observation import ERRORS, FRAME
 from hydro_env.errors import InputError, InputWarning
 from hydro_env.reading import check_file
 
-__all__ = ["Sb3Policy"]
-
 
 class Sb3Policy(Policy):
     """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames, one that was

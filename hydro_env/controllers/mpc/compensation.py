@@ -7,8 +7,6 @@ import numpy as np
 from hydro_env.controllers.mpc.reference import capacity
 from hydro_env.jit import compiled
 
-__all__ = ["compensate"]
-
 BLEND = 0.01
 """Flow below which the jump over the dead zone is a ramp: just above what counts as flow."""
 

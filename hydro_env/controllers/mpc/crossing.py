@@ -14,8 +14,6 @@ from hydro_env.controllers.estimation.valve_estimator import ValveState
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 
-__all__ = ["Crossing", "CrossingSettings", "CrossingState"]
-
 
 @dataclass(frozen=True)
 class CrossingSettings:

@@ -23,9 +23,6 @@ from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
-__all__ = ["Feedback", "FeedbackSettings", "FeedbackState"]
-
-
 PAUSE = 0.15
 """Least time between two answers to sudden loads, s; set by hand."""
 SLOW = 20.0 * RPM

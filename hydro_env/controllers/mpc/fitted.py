@@ -27,8 +27,6 @@ from hydro_env.plant import PlantModel, Scales, scales_of
 from hydro_env.plant.parameters import SUPPLY_PRESSURE
 from hydro_env.plant.scales import rated
 
-__all__ = ["leaks", "settings_of", "units_of"]
-
 SHARES = {
     "settle": 0.2,
     "damp": 0.4,

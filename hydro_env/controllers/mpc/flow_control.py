@@ -20,8 +20,6 @@ from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.plant import PlantModel, Scales, scales_of
 
-__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
-
 SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
 reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part."""

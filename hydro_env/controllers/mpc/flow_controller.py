@@ -34,8 +34,6 @@ from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
 from hydro_env.controllers.settings import setting
 from hydro_env.envs.observation import Measurements
 
-__all__ = ["FlowController", "FlowSettings"]
-
 
 @dataclass(frozen=True)
 class FlowSettings:

@@ -6,8 +6,6 @@ import numpy as np
 
 from hydro_env.jit import compiled
 
-__all__ = ["solve_positive_definite"]
-
 
 @compiled
 def solve_positive_definite(matrix, x, n):

@@ -24,8 +24,6 @@ from hydro_env.controllers.mpc.shooting import CORNER, END, HORIZON, MIN_DAMPING
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
-__all__ = ["Oracle"]
-
 TURNS, AFTER_A_STEP = 3, 30
 """How often a plan is driven, and then improved, in every period, and when the set-point has just stepped."""
 FREE = 0.6

@@ -29,18 +29,6 @@ from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, set
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
-__all__ = [
-    "HORIZON",
-    "Planner",
-    "PlannerNumbers",
-    "PlannerSettings",
-    "Scene",
-    "Work",
-    "improve_plans",
-    "predict_delayed",
-]
-
-
 HORIZON = 4
 """Control periods that are planned: longer than the spool's period of 30 ms."""
 COMMANDS = 2 * HORIZON

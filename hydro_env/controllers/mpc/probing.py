@@ -20,9 +20,6 @@ from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.units import RPM
 
-__all__ = ["Probing", "ProbingSettings"]
-
-
 AT_REST = 5.0 * RPM
 """Set-point up to which the rig counts as at rest, rad/s."""
 FROM = -0.02

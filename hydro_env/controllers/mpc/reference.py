@@ -16,9 +16,6 @@ from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, set
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
-__all__ = ["Reference", "ReferenceSettings", "ReferenceState", "capacity"]
-
-
 INERTIA = NOMINAL["J"]
 SMOOTH = 25.0 * RPM
 """Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms."""

@@ -26,8 +26,6 @@ from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
-__all__ = ["CORNER", "END", "HORIZON", "MIN_DAMPING", "SAMPLES", "Task", "cost", "improve", "minimise_in_box"]
-
 HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 END = HORIZON * SAMPLES

@@ -13,8 +13,6 @@ from hydro_env.files import write_json
 from hydro_env.reading import read_json
 from hydro_env.validation import FileTable, checked
 
-__all__ = ["SCHEMA", "GainsFile", "read_gains", "write_gains"]
-
 SCHEMA = "hydro_env/gains/1"
 
 

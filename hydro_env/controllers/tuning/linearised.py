@@ -25,8 +25,6 @@ from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.errors import InputError
 from hydro_env.plant import PlantModel, load_model
 
-__all__ = ["MS", "largest_sensitivity", "linear_plant", "run", "summary", "tune_channel"]
-
 MS = 1.3
 UNITS = {"Kp": "V/rpm", "Ti": "s", "Td": "s"}
 

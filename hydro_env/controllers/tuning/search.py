@@ -37,8 +37,6 @@ from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.tasks.metrics import IDLE
 from hydro_env.units import RPM
 
-__all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "costs_of", "drive", "search"]
-
 POPULATION = 24
 """Candidates of a generation: about three for each of up to eight gains."""
 CASES, TRIALS = 12, 480

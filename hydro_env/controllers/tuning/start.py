@@ -16,8 +16,6 @@ from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.tuning.linearised import tune_channel
 from hydro_env.plant import load_model, scales_of
 
-__all__ = ["starts"]
-
 
 def starts(name: str, plant: str, period: float) -> list[dict[str, float]]:
     """Gains in the units of the law, for a law by its name, a plant and a control period (s); none for a law without shipped

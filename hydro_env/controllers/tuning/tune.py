@@ -19,8 +19,6 @@ from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks import OWN
 
-__all__ = ["COMMON", "run", "run_all", "summary"]
-
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
 
 

@@ -20,8 +20,6 @@ from ...plant import CATALOGUE
 from ...reading import read_json
 from ...validation import FileTable, Number, checked, known
 
-__all__ = ["answer", "read_answer", "read_answers"]
-
 SCHEMA = "hydro_env/naming_answer/1"
 
 

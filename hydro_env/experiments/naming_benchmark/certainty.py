@@ -13,8 +13,6 @@ from typing import Any
 from ...reading import read_json
 from ..coverage import by_channel, covered, given_names, percent, reliability_lines
 
-__all__ = ["WHOLE", "certainty", "lines"]
-
 #: Folder beside the answers of a method with the whole diagnosis of each rig.
 WHOLE = "whole"
 

@@ -23,8 +23,6 @@ from ...units import RPM
 from .residual import WIDTH
 from .sets import read_commands
 
-__all__ = ["Model", "fit_network", "fit_polynomial", "predicted"]
-
 Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
 

@@ -37,8 +37,6 @@ from .correction import Model, fit_network, fit_polynomial, predicted
 from .residual import Equation, Start, begin, equations
 from .sets import read_set
 
-__all__ = ["METHODS", "chosen_by_regression", "certified_terms", "run_methods"]
-
 Array = NDArray[np.float64]
 Named = list[dict[str, Any]]
 

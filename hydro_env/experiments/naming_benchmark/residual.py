@@ -37,8 +37,6 @@ from ...diagnosis.stages.values import estimated_model
 from ...plant import BUILT_IN, PlantModel, load_model
 from ...reading import read_json
 
-__all__ = ["Equation", "Start", "begin", "equations"]
-
 Array = NDArray[np.float64]
 
 #: A speed of the validation log within this multiple of its noise counts as explained.

@@ -22,8 +22,6 @@ from .answers import read_answers
 from .certainty import certainty, lines
 from .sets import TRUTH_SCHEMA, columns_of, read_commands, read_set
 
-__all__ = ["judge", "score", "table"]
-
 SCHEMA = "hydro_env/naming_scores/1"
 #: A held-out error within this multiple of the noise counts as explained.
 WITHIN = 1.3

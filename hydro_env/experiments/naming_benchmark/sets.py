@@ -33,10 +33,6 @@ from ...practice.generate import Practice, make_practice
 from ...practice.recorder import log_text
 from ...reading import read_json
 
-__all__ = [
-    "KINDS", "RIG_SCHEMA", "SET_SCHEMA", "TRUTH_SCHEMA", "columns_of", "draw_rig", "make_set", "read_commands", "read_set",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 
 SET_SCHEMA = "hydro_env/naming_set/1"

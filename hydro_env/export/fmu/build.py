@@ -26,8 +26,6 @@ from hydro_env.units import RPM
 
 from .description import COMMAND_REFERENCE, FIRST_REFERENCE, LOAD_REFERENCE, TIME_REFERENCE, model_description
 
-__all__ = ["PLATFORMS", "Made", "export_fmu"]
-
 HERE = Path(__file__).parent
 _MODEL_HEADER = """\
 #ifndef HYDRO_MODEL_H

@@ -13,11 +13,9 @@ from xml.etree import ElementTree as xml
 
 from hydro_env.export.plant_source import PlantSource
 from hydro_env.plant.catalogue import CATALOGUE
-from hydro_env.plant.model import parameter_of
+from hydro_env.plant.catalogue.effect import parameter_of
 
 from .units import DISPLAYED, base_unit
-
-__all__ = ["FIRST_REFERENCE", "Variable", "model_description", "variables"]
 
 #: Value references: time, both commands, both loads, then all cells of the plant's memory.
 TIME_REFERENCE, COMMAND_REFERENCE, LOAD_REFERENCE, FIRST_REFERENCE = 0, 1, 3, 16

@@ -7,8 +7,6 @@ from collections import Counter
 
 from hydro_env.units import BAR, DEGREE, LPM, MILLIMETRE, RPM
 
-__all__ = ["DISPLAYED", "base_unit"]
-
 #: Exponents of kg, m, s, A, rad, and a factor.
 _KNOWN: dict[str, tuple[dict[str, int], float]] = {
     "1": ({}, 1.0),

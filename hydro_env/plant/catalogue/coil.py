@@ -5,8 +5,6 @@ from __future__ import annotations
 from ..parameters import Parameter
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
-
 
 def _heating_resistance(resistance, rise, heat):
     return resistance * (1.0 + rise * heat)

@@ -8,9 +8,6 @@ from ..parameters import Parameter
 from ..vector_math import clip
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
-
-
 COMMAND_DELAY = Effect(
     name="command_delay",
     port="driver",

@@ -31,11 +31,6 @@ from typing import Any
 from ...errors import InputError, suggestion
 from ..parameters import PARAMETERS, Parameter
 
-__all__ = [
-    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "parameter_of",
-    "register", "separating_experiment", "unregister",
-]  # fmt: skip
-
 #: Ports in the order in which the signal passes them.
 PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor", "load", "fluid", "sensor")
 

@@ -8,8 +8,6 @@ from ..parameters import Parameter
 from ..vector_math import sign
 from .effect import Effect
 
-__all__ = ["EFFECTS"]
-
 
 def _pressure_dependent_flow(drive, opening, pressure, supply_pressure):
     return drive - sign(opening) * pressure / supply_pressure

@@ -6,8 +6,6 @@ from ..parameters import Parameter
 from ..vector_math import exp
 from .effect import Effect
 
-__all__ = ["EFFECTS", "drifted"]
-
 
 def drifted(change, time, time_constant):
     """A factor whose logarithm goes from 0 to `change`."""

@@ -8,8 +8,6 @@ from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
 from ..vector_math import positive, sign, tanh
 from .effect import Effect, State
 
-__all__ = ["EFFECTS", "turning_width"]
-
 
 def _hysteresis_force(force, amplitude, loop):
     return force - amplitude * loop

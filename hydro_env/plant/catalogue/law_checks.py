@@ -21,8 +21,6 @@ from ..parameters import PARAMETERS, Parameter
 from ..rhs import rates
 from .effect import Effect, arguments
 
-__all__ = ["check_laws"]
-
 SAMPLES = 200
 """Points at which a law is tried at its neutral value, half of them small signals and half of them large ones."""
 

@@ -9,8 +9,6 @@ from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
 from ..vector_math import clip, positive, sign, sqrt
 from .effect import Effect, State
 
-__all__ = ["BOTH_LINES", "EFFECTS"]
-
 
 def _entrained_air(bulk_modulus, pressure, fraction):
     absolute = 101325.0 + abs(pressure)

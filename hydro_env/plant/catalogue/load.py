@@ -8,8 +8,6 @@ from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import clip, sin
 from .effect import Effect, State
 
-__all__ = ["EFFECTS", "SHAFT_BACKLASH"]
-
 
 def _load_bias(torque, bias):
     return torque - bias

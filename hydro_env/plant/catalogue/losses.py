@@ -21,8 +21,6 @@ from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import exp, sqrt, tanh
 from .effect import Effect
 
-__all__ = ["EFFECTS", "FAMILY"]
-
 #: Effects of this family compete with the simpler terms of the catalogue for the same facts, so the diagnosis takes them
 #: as candidates only when the model as given lists them.
 FAMILY = "motor_losses"

@@ -6,8 +6,6 @@ from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import cos, exp, tanh
 from .effect import Effect
 
-__all__ = ["EFFECTS"]
-
 
 def _speed_dependent_leakage(leakage, speed, coefficient):
     return leakage + coefficient * speed

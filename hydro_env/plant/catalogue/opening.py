@@ -8,8 +8,6 @@ from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
 from ..vector_math import clip, positive, sqrt
 from .effect import Effect
 
-__all__ = ["EFFECTS"]
-
 
 def _null_offset(opening, offset):
     return opening + offset

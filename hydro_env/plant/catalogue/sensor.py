@@ -5,8 +5,6 @@ from __future__ import annotations
 from ..parameters import Parameter
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
-
 
 def _sensor_lag(measured_speed, lagged_speed, time_constant):
     return lagged_speed if time_constant > 0.0 else measured_speed

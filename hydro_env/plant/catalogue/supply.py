@@ -5,8 +5,6 @@ from __future__ import annotations
 from ..parameters import Parameter
 from .effect import Effect, State
 
-__all__ = ["EFFECTS", "steady_droop"]
-
 
 def _supply_droop(drive, droop):
     return drive - droop

@@ -14,8 +14,6 @@ from ..kernel import compile_kernel
 from .effect import CATALOGUE
 from .law_checks import check_laws
 
-__all__ = ["load_effects"]
-
 _LOADED: dict[Path, tuple[str, ...]] = {}
 
 

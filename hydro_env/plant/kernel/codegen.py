@@ -36,8 +36,6 @@ from .layout import (
 )  # fmt: skip
 from .statements import Step, chain, functions, in_order, needed, reads, step_of, target
 
-__all__ = ["Module", "module_text"]
-
 #: A sweep: statements that loops over the lanes run, and text between them that moves values from lane to lane.
 Parts = list[list[str] | str]
 

@@ -17,8 +17,6 @@ from hydro_env.jit import compiled
 
 from .vector_ir import FOUND
 
-__all__ = ["NUMBERS", "SWEEPS", "advance"]
-
 #: Sweeps of a module, called by their addresses.
 SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "pass_point", "reset_diverged")
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name

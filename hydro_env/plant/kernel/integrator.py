@@ -30,17 +30,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "CONTROL",
-    "ERRORS",
-    "METHOD",
-    "TOLERATED",
-    "Control",
-    "Rosenbrock",
-    "Tolerated",
-    "integral_coefficients",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -13,8 +13,6 @@ from typing import Any
 from .. import vector_math
 from ..catalogue.effect import called_by, helpers_of
 
-__all__ = ["LawError", "check", "check_law", "parse", "texts"]
-
 Function = Callable[..., Any]
 
 #: Functions of laws that are instructions of the processor.

@@ -12,11 +12,6 @@ from dataclasses import dataclass
 from ..catalogue.effect import Effect, State
 from ..parameters import PARAMETERS
 
-__all__ = [
-    "DIVISORS", "INTEGRAL", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of", "scale_of", "states_of",
-    "with_shared",
-]  # fmt: skip
-
 #: States of a channel, in the order of `rates`.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: A state that nothing acts on but another one, of which it is the integral.

@@ -20,8 +20,6 @@ from hydro_env.jit import keep, kept
 from . import vector_ir
 from .driver import SWEEPS
 
-__all__ = ["MachineCode", "machine_code"]
-
 
 class MachineCode:
     """Functions in memory: `addresses` of those named. They are valid as long as this object lives."""

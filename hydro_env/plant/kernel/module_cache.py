@@ -17,8 +17,6 @@ from ..catalogue import Effect
 from ..catalogue.effect import called_by
 from .codegen import Module, module_text
 
-__all__ = ["module_of"]
-
 
 def module_of(effects: tuple[Effect, ...], half: int, grouped: bool) -> Module:
     """See `codegen.module_text`."""

@@ -22,8 +22,6 @@ from ..rhs import rates
 from . import laws
 from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of
 
-__all__ = ["Step", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
-
 #: Functions of vector_math that statements and laws may call.
 HELPERS = ("clip", "positive", "sign", "exp", "bell", "tanh", "cos", "sin")
 

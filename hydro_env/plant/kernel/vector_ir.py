@@ -26,8 +26,6 @@ from llvmlite import ir
 from hydro_env.ir.nodes import Assign, Expr, For, Function, If, Return, Statement, Store, var
 from hydro_env.ir.reader import Arr, Reader, module_sources
 
-__all__ = ["FOUND", "llvm_text"]
-
 #: Type of what a sweep returns: on how many lanes its test was passed.
 FOUND = ir.IntType(32)
 

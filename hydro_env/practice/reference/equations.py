@@ -14,8 +14,6 @@ import numpy as np
 from ...jit import compiled
 from .forms import PLAYS, STOPS
 
-__all__ = ["outputs", "rates"]
-
 _SUPPLY_FLOW = 2.0 * 476106e-6 * 20.0 * 73.0 / (100.0 * 17000.0)  # m3/s; rated flow of two nominal valves
 
 

@@ -17,19 +17,6 @@ import numpy as np
 from ...errors import InputError
 from ...plant.scales import Scales
 
-__all__ = [
-    "CONSTANTS",
-    "MIDDLE",
-    "OF_BOTH_LINES",
-    "PLAYS",
-    "STOPS",
-    "UNITS",
-    "Constants",
-    "checked",
-    "draw",
-    "scaled",
-]
-
 #: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
 Constants = Mapping[str, float | tuple[float, ...]]
 

@@ -17,8 +17,6 @@ from .equations import outputs
 from .forms import Constants, checked
 from .solver import STATES, Group
 
-__all__ = ["FORMS", "REFERENCE_SIGNALS", "ReferenceRig", "simulate_reference"]
-
 Array = NDArray[np.float64]
 
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.

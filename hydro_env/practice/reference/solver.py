@@ -15,8 +15,6 @@ from ...plant.parameters import PARAMETERS
 from .equations import rates
 from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, STOPS, Constants
 
-__all__ = ["STATES", "Group"]
-
 Array = NDArray[np.float64]
 
 #: What every channel has, in this order from `at_states` on.

@@ -8,8 +8,6 @@ from typing import Any
 from ...parameters import SPOOL_FORCE, Parameter
 from ..effect import Effect, State
 
-__all__ = ["FAMILY", "NO_PHYSICS", "amount", "correction", "repeated", "taken"]
-
 #: The family of these effects.
 FAMILY = "shape"
 

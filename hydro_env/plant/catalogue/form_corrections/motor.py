@@ -14,8 +14,6 @@ from ..sensor import SENSOR_LAG
 from ..supply import SUPPLY_DROOP, steady_droop
 from .correction import NO_PHYSICS, amount, correction, repeated
 
-__all__ = ["EFFECTS"]
-
 
 # --- supply -----------------------------------------------------------------------------------------------------------
 # Two lags whose time constants have the effect's as their sum, which stays the mean delay, whatever the form.

@@ -11,8 +11,6 @@ from ..effect import State
 from ..force import MAGNETIC_HYSTERESIS, turning_width
 from .correction import NO_PHYSICS, amount, correction, repeated, taken
 
-__all__ = ["EFFECTS"]
-
 
 # --- driver -----------------------------------------------------------------------------------------------------------
 def _knee(voltage, command, drop, reach, voltage_limit):
