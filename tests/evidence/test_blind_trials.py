@@ -15,8 +15,10 @@ from docs.evidence.blind_trials import __main__ as command
 from docs.evidence.blind_trials import running
 from docs.evidence.blind_trials.ablation import folder_without, write_ablation
 from docs.evidence.blind_trials.judging import covered
-from docs.evidence.blind_trials.running import Running
+from docs.evidence.blind_trials.running import Running, changed
 from hydro_env.diagnosis import RULES
+from hydro_env.diagnosis.estimation import gauss_newton
+from hydro_env.diagnosis.stages import validation, verdict
 from hydro_env.errors import InputError
 from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, CATALOGUE
@@ -236,3 +238,14 @@ def test_a_trial_that_two_slices_ran_counts_once(tmp_path: Path) -> None:
     for name, own in (("trials_1_of_2.json", rows[:2]), ("trials_2_of_2.json", rows[1:])):
         write_json(tmp_path / name, {"rows": own})
     assert [r["seed"] for r in trials.rows_of(tmp_path)] == [7, 2, 3]
+
+
+def test_a_constant_has_another_value_for_a_while() -> None:
+    """Wherever it is used, and never afterwards."""
+    with changed(["stages.validation.AT_NOISE=1.5", "settings.temper=0.2"]) as fields:
+        assert (validation.AT_NOISE, verdict.AT_NOISE, fields) == (1.5, 1.5, {"temper": 0.2})
+    assert (validation.AT_NOISE, verdict.AT_NOISE) == (1.1, 1.1)
+    wrong = ["estimation.gauss_newton.MAX_STEP=9.0", "estimation.gauss_newton.LONGEST=1"]
+    with pytest.raises(InputError, match=r"no constant .*LONGEST"), changed(wrong):
+        pass
+    assert gauss_newton.MAX_STEP == 3.0

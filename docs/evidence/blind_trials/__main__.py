@@ -51,6 +51,13 @@ def _arguments() -> argparse.Namespace:
         help="rules of the diagnosis to switch off",
     )
     add(
+        "--constant",
+        nargs="+",
+        default=[],
+        metavar="MODULE.NAME=VALUE",
+        help="constants of the diagnosis to change",
+    )
+    add(
         "--ablation",
         action="store_true",
         help="compares all trials without a rule with those with it; runs nothing",
@@ -90,8 +97,9 @@ def main() -> None:
     else:
         part, of = given.slice.split("/")
         rows = run_trials(
-            folder_without(given.out, given.without_rule), _wanted(given),
-            Running(jobs=given.jobs, logs=given.logs, rules_off=tuple(given.without_rule)), minutes=given.minutes,
+            folder_without(given.out, [*given.without_rule, *given.constant]), _wanted(given),
+            Running(jobs=given.jobs, logs=given.logs, rules_off=tuple(given.without_rule), constants=tuple(given.constant)),
+            minutes=given.minutes,
             name="trials.json" if of == "1" else f"trials_{part}_of_{of}.json", say=lambda text: print(text, flush=True),
         )  # fmt: skip
         for s in summary(rows):

@@ -1,6 +1,7 @@
 """What a rule of the diagnosis is worth: the same trials with it and without it, pair by pair.
 
-`--out DIR --without-rule NAME ...` keeps the trials without these rules in DIR/without_NAME+...; `--out DIR --ablation`
+`--out DIR --without-rule NAME ...` keeps the trials without these rules in DIR/without_NAME+..., `--constant NAME=VALUE` those
+with another value of a constant likewise; `--out DIR --ablation`
 compares every such folder with the trials of DIR itself and writes DIR/ablation.json and DIR/ablation.md.
 """
 

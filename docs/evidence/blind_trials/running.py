@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 import hydro_env
 from hydro_env.diagnosis import Settings, diagnose
+from hydro_env.errors import InputError
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json
 from hydro_env.plant import CATALOGUE, PlantModel, simulate
@@ -41,13 +44,40 @@ _SHOWN = {
 @dataclass(frozen=True)
 class Running:
     """How trials are run: length of a log (s), rows per second, threads of a diagnosis, the folder that keeps practice logs
-    or has them already, and rules of the diagnosis that are switched off."""
+    or has them already, rules of the diagnosis that are switched off, and its constants that have other values (`changed`)."""
 
     duration: float = 12.0
     rate: float = 1000.0
     jobs: int = 1
     logs: Path | None = None
     rules_off: tuple[str, ...] = ()
+    constants: tuple[str, ...] = ()
+
+
+@contextmanager
+def changed(constants: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Gives constants of the diagnosis other values for a while ("estimation.fit.SMALL_LEVEL=2.0"), wherever they are used;
+    yields those that are fields of `Settings`, "settings.NAME=VALUE". InputError for one that is not there."""
+    before, fields = [], {}
+    try:
+        for text in constants:
+            name, _, value = text.partition("=")
+            place, _, own = name.rpartition(".")
+            home = Settings() if place == "settings" else sys.modules.get(f"hydro_env.diagnosis.{place}")
+            if not hasattr(home, own):
+                raise InputError(f"--constant {text}: the diagnosis has no constant {name}")
+            if place == "settings":
+                fields[own] = ast.literal_eval(value)
+                continue
+            known = getattr(home, own)
+            users = [m for n, m in sys.modules.items() if n.startswith("hydro_env.diagnosis")]
+            for module in (m for m in users if getattr(m, own, None) is known):
+                before.append((module, own, known))
+                setattr(module, own, ast.literal_eval(value))
+        yield fields
+    finally:
+        for module, own, known in before:
+            setattr(module, own, known)
 
 
 def method() -> str:
@@ -139,21 +169,23 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
         if not case.twins:
             without += [twin for name in without for twin in CATALOGUE[name].indistinguishable_from]
         begin, cpu = time.perf_counter(), time.process_time()
-        data = diagnose(
-            files[:2],
-            files[2:],
-            model=folder / "model.yaml",
-            without=without,
-            jobs=how.jobs,
-            settings=Settings(rules_off=how.rules_off),
-        ).as_dict()
+        with changed(how.constants) as fields:
+            settings = Settings(rules_off=how.rules_off, **fields)
+            data = diagnose(
+                files[:2],
+                files[2:],
+                model=folder / "model.yaml",
+                without=without,
+                jobs=how.jobs,
+                settings=settings,
+            ).as_dict()
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
     hidden = by_channel(truth["effects"])
     tried = [t for t in data["trials"] if t["refitted"] and t["gain"] > 0.5 * t["needed"]]
     visible = [data["detectable"].get(name, {}).get(c) for name, c in hidden]
     return {
         **asdict(case), "sizes": _sizes(truth), **judge(data, hidden, truth["verdict"], case.unlisted, form),
-        "covered": covered(data, truth), "strength": form.get("strength"), "rules_off": list(how.rules_off),
+        "covered": covered(data, truth), "strength": form.get("strength"), "rules_off": [*how.rules_off, *how.constants],
         "visible": all(v is not False for v in visible), "seconds": round(seconds, 1), "cpu_s": round(cpu_s, 1),
         "jobs": how.jobs, "gap": data["gap"]["sealed"], "effects": data["effects"], "method": method(),
         "corrections": [[k["correction"], k["channel"]] for k in data.get("shape_corrections", [])],
