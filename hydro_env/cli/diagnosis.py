@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument, Context, Option
 
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
+from hydro_env.errors import InputError
 from hydro_env.files import write_text
 from hydro_env.limits import CORES, Limits
 from hydro_env.units import BAR
 
+#: Options that a case does not keep: they are of one call, or kept in another way.
+_OF_ONE_CALL = ("out", "case", "fit_logs", "sealed", "inspect", "effect_files", "jobs")
 FitLogs = Annotated[
     list[str] | None,
     Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
@@ -68,7 +73,11 @@ def hide(
 
 
 def diagnose(
-    out: Out,
+    context: Context,
+    out: Annotated[Path | None, Option("--out", help="Folder to write to; created if needed.")] = None,
+    case: Annotated[
+        Path | None, Option(metavar="DIR", help="Instead of --out: ask for experiments until sure; DIR keeps the case.")
+    ] = None,
     fit_logs: FitLogs = None,
     sealed: HeldOut = None,
     model: Model = "paper",
@@ -95,6 +104,11 @@ def diagnose(
     load_limit: Annotated[
         float | None, number("Its largest load. Default: that of the logs.", Limits(0.0, 1e6, unit="N m"))
     ] = None,
+    questions: Annotated[int, number("With --case: questions at most.", Limits(0, 20, whole=True))] = 3,
+    sensor: Annotated[
+        list[str] | None,
+        Option(metavar="NAME=COST", help="With --case: what a sensor for one run costs, in experiments (1); none: ask for none."),
+    ] = None,
     seed: Seed = 0,
 ) -> None:  # fmt: skip
     """Identify from logs what physics a model lacks.
@@ -102,6 +116,17 @@ def diagnose(
     Writes diagnosis.json, report.html, model.yaml and, where names stay open, next_experiment.csv; with --inspect only
     mapping.yaml, a proposal.
     """
+    if (out is None) == (case is None):
+        raise InputError("give either --out DIR for one diagnosis, or --case DIR for a dialogue")
+    from hydro_env.plant import load_effects
+
+    load_effects(effect_files or [])
+    if case is not None:
+        if inspect is not None:
+            raise InputError("--inspect shows a log without a case; give --out DIR with it")
+        _dialogue(case, context, fit_logs or [], sealed or [], effect_files or [], jobs)
+        return
+    assert out is not None
     with writing(out) as folder:
         if inspect is not None:
             from hydro_env.measured.inspect import shown
@@ -111,15 +136,46 @@ def diagnose(
             if proposal:
                 write_text(folder / "mapping.yaml", proposal)
             return
-        from hydro_env.diagnosis import Settings, command
-        from hydro_env.plant import load_effects
+        from hydro_env.diagnosis import command
 
-        load_effects(effect_files or [])
-        settings = Settings(
-            seed=seed, command_limit=command_limit / 100.0, rate_limit=rate_limit, load_limit=load_limit,
-            pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
-        )  # fmt: skip
         command.run(
-            fit_logs or [], sealed or [], folder, model=model, mapping=mapping, jobs=jobs, settings=settings, steady=steady,
-            accept=accept or [],
-        )  # fmt: skip
+            fit_logs or [],
+            sealed or [],
+            folder,
+            model=model,
+            mapping=mapping,
+            jobs=jobs,
+            **_arguments(context.params),
+        )
+
+
+def _dialogue(
+    case: Path,
+    context: Context,
+    logs: list[str],
+    sealed: list[str],
+    effect_files: list[str],
+    jobs: int | None,
+) -> None:
+    """One call of a case. Code of effects is run only where it is named, so every call names it."""
+    from hydro_env.case import dialogue, folder
+
+    kept: dict[str, Any] = {n: v for n, v in context.params.items() if n not in _OF_ONE_CALL}
+    given = {n for n in kept if getattr(context.get_parameter_source(n), "name", "DEFAULT") != "DEFAULT"}
+    kept["effects"] = [folder.sha256_of(Path(path)) for path in effect_files]
+    dialogue.run(
+        case, logs, sealed, kept, given | {"effects"}, jobs=jobs,
+        arguments=lambda o: _arguments(o, dialogue.sensor_costs(o["sensor"] or [])),
+    )  # fmt: skip
+
+
+def _arguments(options: Mapping[str, Any], sensors: Collection[tuple[str, float]] = ()) -> dict[str, Any]:
+    """Arguments of `diagnose` from options of the command."""
+    from hydro_env.diagnosis import Settings
+
+    pressure = options["pressure_limit"]
+    settings = Settings(
+        seed=options["seed"], command_limit=options["command_limit"] / 100.0, rate_limit=options["rate_limit"],
+        load_limit=options["load_limit"], pressure_limit=None if pressure is None else pressure * BAR, sensors=sensors,
+    )  # fmt: skip
+    return {"settings": settings, "steady": options["steady"], "accept": options["accept"] or []}

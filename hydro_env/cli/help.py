@@ -14,7 +14,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
         "linear", "as_shipped", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate",
         "duration", "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "play", "check", "declare",
-        "empty", "experiment", "command_limit", "rate_limit", "pressure_limit", "load_limit", "signal", "fmi",
+        "empty", "experiment", "command_limit", "rate_limit", "pressure_limit", "load_limit", "questions", "sensor",
+        "signal", "fmi",
     ),
     "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
     "Columns of logs and curves": (

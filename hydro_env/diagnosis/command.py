@@ -20,7 +20,20 @@ def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, jobs: int | None = None,
     quiet: bool = False, **options: Any,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
+    """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`; arguments as in
+    `diagnosed`."""
+    found = diagnosed(fit_logs, sealed, out, jobs=jobs, quiet=quiet, **options)
+    if not quiet:
+        with beside_results(Path("the summary")):
+            print(found.summary())
+    return found
+
+
+def diagnosed(
+    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, jobs: int | None = None,
+    quiet: bool = False, **options: Any,
+) -> Diagnosis:  # fmt: skip
+    """Diagnoses with a progress bar and writes the results to `out`.
 
     `jobs` threads (None: one for every core that this process may use), other options as in `diagnose`.
     """
@@ -39,9 +52,6 @@ def run(
         found = diagnose(fit_logs, sealed, jobs=jobs or cpu_count(), progress=progress, **options)
         bar.set_description("writing the report")
         write(found, Path(out))
-    if not quiet:
-        with beside_results(Path("the summary")):
-            print(found.summary())
     return found
 
 

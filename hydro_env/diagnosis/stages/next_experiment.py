@@ -9,7 +9,7 @@ stroke.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,8 +26,10 @@ from ..experiment_design import (
     best_design,
     commands_csv,
     operation_of,
+    weight_of,
 )
 from ..models.dynamic_rig import DynamicRig
+from ..settings import Settings
 from ..state import State
 from .naming import NamedEffect
 
@@ -46,13 +48,24 @@ class NextExperiment:
     description: str
     separates: Sequence[str]
     design: Design | None = None
+    #: To be logged besides for this experiment, by its name in `SENSORS`.
+    sensor: str | None = None
+
+    @property
+    def apart(self) -> Mapping[tuple[str, str], float]:
+        """How far the models of each pair are apart with what is to be logged."""
+        if self.design is None:
+            return {}
+        return self.design.apart if self.sensor is None else self.design.with_sensor[self.sensor]
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters, `prediction`
         is how far estimates are apart on the held-out logs, RMS in times the noise."""
         found: dict[str, Any] = {"description": self.description, "separates": list(self.separates)}
         if self.design is not None:
-            found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.design.apart.items()}
+            found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.apart.items()}
+            if self.sensor is not None:
+                found["sensor"] = self.sensor
             if self.design.prediction is not None:
                 now, then = self.design.prediction
                 found["prediction"] = {"now": round(now, 2), "expected": round(then, 2)}
@@ -74,7 +87,29 @@ def run(state: State) -> NextExperiment | None:
     if design is None:
         return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
-    return NextExperiment(_described(design), names, design)
+    sensor = worth_its_cost(design, state.logs.fit.settings)
+    return NextExperiment(_described(design, sensor), names, design, sensor)
+
+
+def worth_its_cost(design: Design, settings: Settings) -> str | None:
+    """The sensor that brings most beyond its cost; None where none does.
+
+    A sensor is worth as many further experiments as would part two models as far without it. It has to double the odds at
+    least, and where commands part the two it is worth nothing.
+    """
+
+    def worth(without: float, with_it: float) -> float:
+        if without >= PARTED or weight_of(with_it, settings) > 0.5 * weight_of(without, settings):
+            return 0.0
+        return (min(with_it, PARTED) / max(without, 1e-3)) ** 2 - 1.0
+
+    costs = dict(settings.sensors)
+    net = {
+        name: max((worth(design.apart[pair], d) for pair, d in apart.items()), default=0.0) - costs[name]
+        for name, apart in design.with_sensor.items()
+    }
+    best = max(net, key=lambda name: net[name], default=None)
+    return best if best is not None and net[best] > 0.0 else None
 
 
 def max_load(state: State) -> float:
@@ -139,12 +174,13 @@ def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
-def _described(design: Design) -> str:
+def _described(design: Design, sensor: str | None) -> str:
     """What the experiment will show, and what the catalogue says of the pair that it parts least."""
     what = "commands and loads" if design.load.any() else "commands"
     text, known = f"play the {SECONDS:g} s of {what} in {FILE} and log as before", ""
     if design.apart:
-        (one, other), least = min(design.apart.items(), key=lambda item: item[1])
+        apart = design.apart if sensor is None else design.with_sensor[sensor]
+        (one, other), least = min(apart.items(), key=lambda item: item[1])
         pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
         times = f"{least:.2g} times what is not known"
         if least >= PARTED:
@@ -158,6 +194,8 @@ def _described(design: Design) -> str:
             f"; estimates that the logs allow, {now:.2g} times the noise apart on the held-out logs, should then be "
             f"{then:.2g} times apart"
         )
+    if sensor is not None:
+        text += f"; log {sensor.replace('_', ' ')} as well, which the commands alone do not replace"
     return "; or ".join(filter(None, (text, known)))
 
 
