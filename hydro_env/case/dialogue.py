@@ -219,10 +219,11 @@ def said(folder: Path, case: CaseFile) -> str:
 
 
 def _asked(folder: Path, case: CaseFile, question: Question) -> list[str]:
-    lines = [
-        f"question {len(case.asked)} of {case.options['questions']}: {question.why}",
-        f"  the best answer is right with {question.now:.2f} now, {question.expected:.2f} expected then",
-    ]
+    lines = [f"question {len(case.asked)} of {case.options['questions']}: {question.why}"]
+    if question.expected > question.now:
+        lines.append(
+            f"  the best answer is right with {question.now:.2f} now, {question.expected:.2f} expected then"
+        )
     log = f"{ALWAYS}, {', '.join(question.record)}"
     if question.commands is None:
         return [*lines, f"  log: {log}", f"  then: hydro-env diagnose --case {folder} LOG"]

@@ -146,11 +146,13 @@ def begin(folder: Path, logs: Sequence[str], sealed: Sequence[str], options: dic
 
 def added(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
     """The case with a new round of logs, which are copied. InputError for a log that it holds already."""
+    seen = dict.fromkeys(case.files.values(), "the case holds this log already")
     for word in logs:
         path = Path(path_of(word))
         check_file(path, "a log")
-        if sha256_of(path) in case.files.values():
-            raise InputError(f"{path}: the case holds this log already; give the log of {_last(case)}")
+        if known := seen.get(sha := sha256_of(path)):
+            raise InputError(f"{path}: {known}; give the log of {_last(case)}")
+        seen[sha] = "this log is given twice"
     files = dict(case.files)
     words = _copied(folder, logs, files)
     case = case.model_copy(update={"files": files, "rounds": [*case.rounds, Round(logs=words)]})
