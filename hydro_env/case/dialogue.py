@@ -15,9 +15,10 @@ from ..diagnosis.stages.naming import UNKNOWN
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
 from ..errors import InputError, suggestion
 from ..files import output_folder, write_text
+from ..limits import Limits
 from ..pages import beside_results
 from . import folder as cases
-from .folder import CaseFile, Place, Question
+from .folder import CaseFile, Place, Question, Round
 from .hypotheses import certainty, expected, places_of
 from .page import case_page
 
@@ -27,8 +28,8 @@ SURE = 0.85
 WORTH_ASKING = 0.02
 #: A sensor for one experiment costs as much as this many experiments, unless the user says otherwise.
 COST = 1.0
-#: What a rig log calls what `hydro-env hide --record` does not.
-ALWAYS = "time, command, speed"
+#: Why a case may be closed.
+NOTHING_LEFT = "nothing left that experiments within the limits can part"
 #: Attributes of a log by what `hydro-env hide --record` calls them.
 _LOGGED = {"load": ("load",), "setpoint": ("setpoint",), **SENSORS, "line_pressures": ("pressure_a",)}
 
@@ -52,25 +53,23 @@ def run(
         InputError: for what is no case, other options than the first call's, and logs that cannot be used.
     """
     arguments(options)
-    new = bool(logs) and bool(sealed) and not (folder / cases.FILE).exists()
-    if new:
+    before = None
+    if logs and sealed and not (folder / cases.FILE).exists():
         case = cases.begin(folder, logs, sealed, options)
     else:
-        case = cases.read(folder)
+        before = case = cases.read(folder)
         if sealed:
-            raise InputError(
-                f"{folder}: --sealed is given, but held-out logs are those of the first call; leave it out"
-            )
+            raise InputError(f"{folder}: held-out logs are those of the first call; leave --sealed out")
         cases.check_options(folder, case, options, given)
         case = _with(folder, case, logs)
     if case.rounds[-1].verdict is None:
         try:
             case = _diagnosed(folder, case, arguments(case.options), jobs, quiet)
         except InputError:
-            if new:
+            if before is None:
                 shutil.rmtree(folder)
-            elif logs:
-                _without_last(folder, case)
+            elif before is not case:
+                cases.restore(folder, before, case)
             raise
     if not quiet:
         print(said(folder, case))
@@ -79,32 +78,15 @@ def run(
 
 def _with(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
     """The case with logs, unless an interrupted call has added the same ones already."""
-    last = case.rounds[-1]
-    if not logs:
-        return case
-    if last.verdict is None:
-        known = [case.files[cases.path_of(w)] for w in last.logs]
-        if [
-            cases.sha256_of(Path(cases.path_of(w))) for w in logs if Path(cases.path_of(w)).exists()
-        ] == known:
-            return case
-        raise InputError(
-            f"{folder}: logs of an interrupted call wait; run it again without logs, then give further ones"
-        )
-    if case.closed:
+    if case.closed and logs:
         raise InputError(f"{folder}: the case is closed ({case.closed}); begin another one for further logs")
-    return cases.added(folder, case, logs)
-
-
-def _without_last(folder: Path, case: CaseFile) -> None:
-    """Takes back the round of a log that cannot be used."""
-    before = {w for r in case.rounds[:-1] for w in r.logs} | {*case.sealed}
-    kept = {cases.path_of(w) for w in before}
-    mine = {cases.path_of(w) for w in case.rounds[-1].logs} - kept
-    files = {n: sha for n, sha in case.files.items() if n not in mine}
-    cases.write(folder, case.model_copy(update={"rounds": case.rounds[:-1], "files": files}))
-    for name in mine:
-        (folder / name).unlink(missing_ok=True)
+    if not logs or (waiting := case.rounds[-1]).verdict is not None:
+        return cases.added(folder, case, logs) if logs else case
+    if cases.hashes_of(logs) != [case.files[cases.path_of(w)] for w in waiting.logs]:
+        raise InputError(
+            f"{folder}: logs of an interrupted call wait; call it without logs, then give others"
+        )
+    return case
 
 
 def _diagnosed(
@@ -121,17 +103,13 @@ def _diagnosed(
             fit, [str(folder / word) for word in case.sealed], work, jobs=jobs, quiet=quiet, model=model, mapping=mapping,
             **arguments,
         )  # fmt: skip
-    number = len(case.asked) + 1
-    places = places_of(found)
+    number, places = len(case.asked) + 1, places_of(found)
     question, closed = _next(found, places, f"question_{number}.csv", number <= case.options["questions"])
-    last, experiment = case.rounds[-1], found.next_experiment
-    if question is not None and question.commands is not None and experiment is not None:
-        write_text(folder / question.commands, str(experiment.csv()))
-    now = last.model_copy(
-        update={
-            "verdict": found.verdict, "seconds": round(found.seconds, 1), "open": places, "question": question,
-            "remarks": _remarks(found, case),
-        }
+    if question is not None and question.commands is not None and found.next_experiment is not None:
+        write_text(folder / question.commands, str(found.next_experiment.csv()))
+    now = Round(
+        logs=case.rounds[-1].logs, remarks=_remarks(found, case), verdict=found.verdict, seconds=round(found.seconds, 1),
+        open=places, question=question,
     )  # fmt: skip
     case = case.model_copy(update={"rounds": [*case.rounds[:-1], now], "closed": closed})
     with beside_results(folder / "report.html"):
@@ -144,22 +122,21 @@ def _next(
     found: Diagnosis, places: Sequence[Place], file: str, may_ask: bool
 ) -> tuple[Question | None, str | None]:
     """The next question, or why the case is closed."""
-    experiment, now, settings = found.next_experiment, certainty(places), found.logs.fit.settings
+    experiment, now = found.next_experiment, certainty(places)
     if now >= SURE and found.verdict != "unknown" and not found.best_guess:
         return None, "sure"
     if experiment is None:
-        return None, "nothing left that experiments within the limits can part"
-    names = [n for p in places for n in p.hypotheses if n != UNKNOWN]
-    why = experiment.description.replace(NEXT_EXPERIMENT, file)
-    then = expected(places, experiment.apart, settings)
-    prediction = None if experiment.design is None else experiment.design.prediction
-    if experiment.design is not None and prediction is None and then - now < WORTH_ASKING:
-        return None, f"nothing left that experiments within the limits can part: {why}"
+        return None, NOTHING_LEFT
+    why, design = experiment.description.replace(NEXT_EXPERIMENT, file), experiment.design
+    then = expected(places, experiment.apart, found.logs.fit.settings)
+    if design is not None and design.prediction is None and then - now < WORTH_ASKING:
+        return None, f"{NOTHING_LEFT}: {why}"
     if not may_ask:
         return None, "questions used up"
+    names = [n for p in places for n in p.hypotheses if n != UNKNOWN]
     open_ = ", ".join(dict.fromkeys(n.replace("_", " ") for n in names[:4])) or UNKNOWN
     question = Question(
-        why=f"open: {open_}; {why}", commands=None if experiment.design is None else file,
+        why=f"open: {open_}; {why}", commands=None if design is None else file,
         record=[*recorded(found.logs), *filter(None, [experiment.sensor])], sensor=experiment.sensor,
         apart={" | ".join(pair): round(d, 2) for pair, d in experiment.apart.items()}, now=now, expected=then,
     )  # fmt: skip
@@ -186,17 +163,12 @@ def sensor_costs(words: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """`spool=2` ... as the cost of each sensor in experiments; `none`: no sensor may be asked for. InputError for others."""
     costs = dict.fromkeys(SENSORS, COST)
     for word in words:
-        name, equals, text = word.partition("=")
+        name, _, text = word.partition("=")
         if word == "none":
             return ()
         if name not in SENSORS:
             raise InputError(f"--sensor {word}: {suggestion(name, [*SENSORS, 'none'])}")
-        try:
-            costs[name] = float(text)
-        except ValueError:
-            costs[name] = -1.0
-        if not equals or not costs[name] >= 0.0:
-            raise InputError(f"--sensor {word}: expected {name}=COST, a number of experiments from 0 on")
+        costs[name] = Limits(0.0, 1000.0).read(text, f"--sensor {word}: the cost, in experiments,")
     return tuple(costs.items())
 
 
@@ -221,19 +193,15 @@ def said(folder: Path, case: CaseFile) -> str:
 def _asked(folder: Path, case: CaseFile, question: Question) -> list[str]:
     lines = [f"question {len(case.asked)} of {case.options['questions']}: {question.why}"]
     if question.expected > question.now:
-        lines.append(
+        lines += [
             f"  the best answer is right with {question.now:.2f} now, {question.expected:.2f} expected then"
-        )
-    log = f"{ALWAYS}, {', '.join(question.record)}"
-    if question.commands is None:
-        return [*lines, f"  log: {log}", f"  then: hydro-env diagnose --case {folder} LOG"]
-    file = folder / question.commands
-    lines += [f"  play: {file} (look at it first)", f"  log: {log}"]
-    answer = "LOG"
-    if case.practice:
-        answer = f"answer_{len(case.asked)}/played.csv"
-        record = ",".join(question.record)
-        lines.append(
-            f"  practice rig: hydro-env hide ... --record {record} --play {file} --out {Path(answer).parent}"
-        )
-    return [*lines, f"  then: hydro-env diagnose --case {folder} {answer}"]
+        ]
+    answer, out = "LOG", f"answer_{len(case.asked)}"
+    if question.commands is not None:
+        file = folder / question.commands
+        lines += [f"  play: {file} (look at it first)"]
+        if case.practice:
+            record, answer = ",".join(question.record), f"{out}/played.csv"
+            lines += [f"  practice rig: hydro-env hide ... --record {record} --play {file} --out {out}"]
+    log = ", ".join(("time, command, speed", *question.record))
+    return [*lines, f"  log: {log}", f"  then: hydro-env diagnose --case {folder} {answer}"]

@@ -118,6 +118,14 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def hashes_of(words: Sequence[str]) -> list[str]:
+    """The SHA-256 of logs. InputError for a file that cannot be read."""
+    paths = [Path(path_of(word)) for word in words]
+    for path in paths:
+        check_file(path, "a log")
+    return [sha256_of(path) for path in paths]
+
+
 def begin(folder: Path, logs: Sequence[str], sealed: Sequence[str], options: dict[str, Any]) -> CaseFile:
     """Makes the folder of a new case, which is not there or empty. InputError for what cannot be read."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -147,12 +155,10 @@ def begin(folder: Path, logs: Sequence[str], sealed: Sequence[str], options: dic
 def added(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
     """The case with a new round of logs, which are copied. InputError for a log that it holds already."""
     seen = dict.fromkeys(case.files.values(), "the case holds this log already")
-    for word in logs:
-        path = Path(path_of(word))
-        check_file(path, "a log")
-        if known := seen.get(sha := sha256_of(path)):
-            raise InputError(f"{path}: {known}; give the log of {_last(case)}")
-        seen[sha] = "this log is given twice"
+    for word, sha256 in zip(logs, hashes_of(logs), strict=True):
+        if known := seen.get(sha256):
+            raise InputError(f"{word}: {known}; give the log of the last question")
+        seen[sha256] = "this log is given twice"
     files = dict(case.files)
     words = _copied(folder, logs, files)
     case = case.model_copy(update={"files": files, "rounds": [*case.rounds, Round(logs=words)]})
@@ -160,19 +166,19 @@ def added(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
     return case
 
 
-def _last(case: CaseFile) -> str:
-    question = case.rounds[-1].question
-    return (question and question.commands) or "a new experiment"
+def restore(folder: Path, before: CaseFile, case: CaseFile) -> None:
+    """Takes back what `case` has more: logs that cannot be used."""
+    write(folder, before)
+    for name in {*case.files} - {*before.files}:
+        (folder / name).unlink()
 
 
 def _copied(folder: Path, words: Sequence[str], files: dict[str, str]) -> list[str]:
     """Copies logs and adds them to `files`; the words that name the copies."""
     (folder / "logs").mkdir(exist_ok=True)
     found = []
-    for word in words:
+    for word, sha256 in zip(words, hashes_of(words), strict=True):
         path = Path(path_of(word))
-        check_file(path, "a log")
-        sha256 = sha256_of(path)
         name = next((n for n, known in files.items() if known == sha256), None)
         if name is None:
             name = f"logs/{len(files) + 1}_{path.name}"

@@ -24,6 +24,16 @@ HeldOut = Annotated[
     list[str] | None,
     Option("--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."),
 ]
+OneDiagnosis = Annotated[Path | None, Option("--out", help="Folder to write to; created if needed.")]
+Dialogue = Annotated[
+    Path | None,
+    Option(metavar="DIR", help="Instead of --out: ask for experiments until sure. DIR keeps the case."),
+]
+Questions = Annotated[int, number("With --case: questions at most.", Limits(0, 20, whole=True))]
+SensorCosts = Annotated[
+    list[str] | None,
+    Option(metavar="NAME=COST", help="With --case: cost of a sensor in experiments (1); none: ask for none."),
+]
 
 
 def hide(
@@ -74,10 +84,8 @@ def hide(
 
 def diagnose(
     context: Context,
-    out: Annotated[Path | None, Option("--out", help="Folder to write to; created if needed.")] = None,
-    case: Annotated[
-        Path | None, Option(metavar="DIR", help="Instead of --out: ask for experiments until sure; DIR keeps the case.")
-    ] = None,
+    out: OneDiagnosis = None,
+    case: Dialogue = None,
     fit_logs: FitLogs = None,
     sealed: HeldOut = None,
     model: Model = "paper",
@@ -104,11 +112,8 @@ def diagnose(
     load_limit: Annotated[
         float | None, number("Its largest load. Default: that of the logs.", Limits(0.0, 1e6, unit="N m"))
     ] = None,
-    questions: Annotated[int, number("With --case: questions at most.", Limits(0, 20, whole=True))] = 3,
-    sensor: Annotated[
-        list[str] | None,
-        Option(metavar="NAME=COST", help="With --case: what a sensor for one run costs, in experiments (1); none: ask for none."),
-    ] = None,
+    questions: Questions = 3,
+    sensor: SensorCosts = None,
     seed: Seed = 0,
 ) -> None:  # fmt: skip
     """Identify from logs what physics a model lacks.
@@ -120,51 +125,44 @@ def diagnose(
         raise InputError("give either --out DIR for one diagnosis, or --case DIR for a dialogue")
     from hydro_env.plant import load_effects
 
-    load_effects(effect_files or [])
-    if case is not None:
+    if out is None:
         if inspect is not None:
             raise InputError("--inspect shows a log without a case; give --out DIR with it")
-        _dialogue(case, context, fit_logs or [], sealed or [], effect_files or [], jobs)
+        load_effects(effect_files or [])
+        _dialogue(context)
         return
-    assert out is not None
     with writing(out) as folder:
         if inspect is not None:
-            from hydro_env.measured.inspect import shown
-
-            text, proposal = shown(inspect, mapping)
-            print(text)
-            if proposal:
-                write_text(folder / "mapping.yaml", proposal)
+            _inspect(inspect, mapping, folder)
             return
         from hydro_env.diagnosis import command
 
+        load_effects(effect_files or [])
         command.run(
-            fit_logs or [],
-            sealed or [],
-            folder,
-            model=model,
-            mapping=mapping,
-            jobs=jobs,
-            **_arguments(context.params),
-        )
+            fit_logs or [], sealed or [], folder, model=model, mapping=mapping, jobs=jobs, **_arguments(context.params)
+        )  # fmt: skip
 
 
-def _dialogue(
-    case: Path,
-    context: Context,
-    logs: list[str],
-    sealed: list[str],
-    effect_files: list[str],
-    jobs: int | None,
-) -> None:
+def _inspect(log: str, mapping: str | None, folder: Path) -> None:
+    """Prints how a log would be read, and writes a proposal of its mapping."""
+    from hydro_env.measured.inspect import shown
+
+    text, proposal = shown(log, mapping)
+    print(text)
+    if proposal:
+        write_text(folder / "mapping.yaml", proposal)
+
+
+def _dialogue(context: Context) -> None:
     """One call of a case. Code of effects is run only where it is named, so every call names it."""
     from hydro_env.case import dialogue, folder
 
-    kept: dict[str, Any] = {n: v for n, v in context.params.items() if n not in _OF_ONE_CALL}
+    options = context.params
+    kept = {name: value for name, value in options.items() if name not in _OF_ONE_CALL}
     given = {n for n in kept if getattr(context.get_parameter_source(n), "name", "DEFAULT") != "DEFAULT"}
-    kept["effects"] = [folder.sha256_of(Path(path)) for path in effect_files]
+    kept["effects"] = [folder.sha256_of(Path(path)) for path in options["effect_files"] or []]
     dialogue.run(
-        case, logs, sealed, kept, given | {"effects"}, jobs=jobs,
+        options["case"], options["fit_logs"] or [], options["sealed"] or [], kept, given | {"effects"}, jobs=options["jobs"],
         arguments=lambda o: _arguments(o, dialogue.sensor_costs(o["sensor"] or [])),
     )  # fmt: skip
 

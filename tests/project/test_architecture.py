@@ -39,7 +39,7 @@ ALLOWED = {
     "controllers": "errors files reading limits units validation jit waveforms plant tasks envs valve_bench",
     "datasets": "errors streams plant tasks controllers",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
-    "case": "errors files reading validation pages plant diagnosis",
+    "case": "errors files reading limits validation pages plant diagnosis",
     "benchmark": "errors files reading units validation pages parallel plant tasks envs controllers",
     "fmu_plant": "errors reading units validation plant",
     "export": "errors files ir plant units envs controllers",
