@@ -65,12 +65,15 @@ def run(
     if case.rounds[-1].verdict is None:
         try:
             case = _diagnosed(folder, case, arguments(case.options), jobs, quiet)
-        except InputError:
+        except InputError as problem:
             if before is None:
                 shutil.rmtree(folder)
             elif before is not case:
                 cases.restore(folder, before, case)
-            raise
+            text = str(problem)
+            for word, copy in zip(logs, case.rounds[-1].logs, strict=False):  # the copy may be gone
+                text = text.replace(str(folder / cases.path_of(copy)), cases.path_of(word))
+            raise InputError(text) from None
     if not quiet:
         print(said(folder, case))
     return case
@@ -98,6 +101,8 @@ def _diagnosed(
         for name, copy in cases.COPIED.items()
     )
     fit = [str(folder / word) for r in case.rounds for word in r.logs]
+    for left in folder.glob(".round_*"):  # of a call that was killed
+        shutil.rmtree(left)
     with output_folder(folder / f"round_{len(case.rounds)}") as work:
         found = diagnosed(
             fit, [str(folder / word) for word in case.sealed], work, jobs=jobs, quiet=quiet, model=model, mapping=mapping,

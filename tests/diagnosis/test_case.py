@@ -177,7 +177,7 @@ def test_a_log_that_cannot_be_used_leaves_the_case_as_it_was(
     before = (tmp_path / "case/case.json").read_bytes()
     bad = tmp_path / "bad.csv"
     bad.write_text("nonsense\n1\n")
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=re.escape(str(bad))):
         begun(bad)
     assert (tmp_path / "case/case.json").read_bytes() == before
     assert not any("bad" in p.name for p in (tmp_path / "case/logs").iterdir())
