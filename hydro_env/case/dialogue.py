@@ -140,8 +140,9 @@ def _next(
         return None, "questions used up"
     names = [n for p in places for n in p.hypotheses if n != UNKNOWN]
     open_ = ", ".join(dict.fromkeys(n.replace("_", " ") for n in names[:4])) or UNKNOWN
+    what = "best guess, not proven" if found.best_guess else "open"
     question = Question(
-        why=f"open: {open_}; {why}", commands=None if design is None else file,
+        why=f"{what}: {open_}; {why}", commands=None if design is None else file,
         record=[*recorded(found.logs), *filter(None, [experiment.sensor])], sensor=experiment.sensor,
         apart={" | ".join(pair): round(d, 2) for pair, d in experiment.apart.items()}, now=now, expected=then,
     )  # fmt: skip

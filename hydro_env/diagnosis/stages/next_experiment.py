@@ -195,7 +195,12 @@ def _described(design: Design, sensor: str | None) -> str:
             f"{then:.2g} times apart"
         )
     if sensor is not None:
-        text += f"; log {sensor.replace('_', ' ')} as well, which the commands alone do not replace"
+        parted = max(apart, key=lambda names: apart[names] / max(design.apart[names], 1e-3))
+        both = " and ".join(name.replace("_", " ") for name in parted)
+        text += (
+            f"; log {sensor.replace('_', ' ')} as well: with it {both} differ by {apart[parted]:.2g}, without by "
+            f"{design.apart[parted]:.2g}"
+        )
     return "; or ".join(filter(None, (text, known)))
 
 
