@@ -116,15 +116,12 @@ def _valves(folder: Path) -> None:
     driven = data["synchronisation"]
     pairs = list(dict.fromkeys(" + ".join(r["valves"]) for r in driven["pairs"]))
     of = {(r["controller"], " + ".join(r["valves"])): r for r in driven["pairs"]}
-    gain = {g["controller"]: g for g in driven["most_alike"] if "wins" in g}
-    rows = [
-        [
-            f"`{c}`",
-            *(f"{of[c, p][PEAK]:.1f} ({of[c, p][TRACKING]:.1f})" for p in pairs),
-            f"{g['mean_of_others_rpm'] - g[PEAK]:.1f}",
-        ]
-        for c, g in gain.items()
-    ]
+    *others, alike = sorted(pairs, key=lambda pair: pair == " + ".join(data["most_alike"]))
+    rows = []
+    for c in dict.fromkeys(r["controller"] for r in driven["pairs"]):
+        cells = [f"{of[c, p][PEAK]:.1f} ({of[c, p][TRACKING]:.1f})" for p in pairs]
+        gain = min(of[c, p][PEAK] for p in others) - of[c, alike][PEAK]
+        rows.append([f"`{c}`", *cells, f"{gain:.1f}"])
     _table(folder / "valve_pairs.md", ["controller", *pairs, "gain by the most similar pair"], rows)
 
 
