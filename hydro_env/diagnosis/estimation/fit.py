@@ -23,8 +23,8 @@ from .noise import WINDOW_S, effective_samples, noise_floor
 Noise = dict[tuple[int, str], float]
 #: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).
 MIN_SAMPLES = 8
-#: Windows of the noise for a motor that swings, as a share of the time of a swing, and what is much less noise than the usual
-#: ones show: coloured noise shows somewhat less in shorter windows, too.
+#: Windows of the noise for a motor that swings, as a share of the time of a swing, of which a parabola leaves a thousandth,
+#: and what is much less noise than the usual ones show, a quarter of its power: coloured noise shows somewhat less, too.
 SHARE_OF_SWING, MUCH_LESS = 0.1, 0.5
 #: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
 CLEARLY_ABOVE = 2.0

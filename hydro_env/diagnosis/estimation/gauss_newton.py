@@ -22,7 +22,8 @@ from .unknowns import scaled
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
 #: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
 SETTLE_ITERATIONS = 4 * len(DIFFERENCE_STEPS)
-#: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
+#: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short. A part is between a
+#: tenth and a half of the one before (Dennis and Schnabel, Numerical Methods for Unconstrained Optimization, 1983, section 6.3).
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Longest step in any coordinate of q: three standard deviations of its prior.
 MAX_STEP = 3.0

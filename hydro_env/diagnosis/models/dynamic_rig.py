@@ -25,9 +25,9 @@ TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
-#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks
-#: (docs/evidence/notes.md).
-FOLLOWING_BLOCK = 4 * BLOCK
+#: Rigs of a batch where Python takes longer than the kernel: after each row of a speed that follows the measured one, and around
+#: logs of fewer rows than this, such as early windows (docs/evidence/notes.md).
+WIDE_BATCH, FEW_ROWS = 4 * BLOCK, 1000
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about: those of eight lanes of 12 s at 1 kHz take 3 MB, and one request for all
@@ -177,7 +177,7 @@ class DynamicRig(RigModel):
             rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                width = FOLLOWING_BLOCK if self.followed else BLOCK
+                width = WIDE_BATCH if self._wide else BLOCK
                 every = (lanes[n : n + width] for n in range(0, len(lanes), width))
                 batches += [_Batch(effects, period, own) for own in every]
         return batches
@@ -199,9 +199,9 @@ class DynamicRig(RigModel):
                 blocks.append([[side for n in row for side in self._sides(n, requests[n])] for row in rows])
             for period, logs in self._logs.items():
                 lanes = [[(log, rig) for rig in rigs] for rigs in blocks for log in logs]
-                if self.followed:  # several blocks together, each filled up with its first lane
+                if self._wide:  # several blocks together, each filled up with its first lane
                     filled = [lane for own in lanes for lane in (*own, *own[:1] * (BLOCK - len(own)))]
-                    lanes = [filled[n : n + FOLLOWING_BLOCK] for n in range(0, len(filled), FOLLOWING_BLOCK)]
+                    lanes = [filled[n : n + WIDE_BATCH] for n in range(0, len(filled), WIDE_BATCH)]
                 batches += [_Batch(effects, period, own, grouped=True) for own in lanes]
         return batches
 
@@ -234,6 +234,12 @@ class DynamicRig(RigModel):
         half = -(-len(single) // 2)
         pairs = zip_longest(single[:half], single[half:])
         return [sides for sides in wanted if len(sides) == 2] + [[s for s in pair if s] for pair in pairs]
+
+    @property
+    def _wide(self) -> bool:
+        """Whether batches are wide ones."""
+        rows = max(len(part.log) * part.finer for part in self.parts)
+        return bool(self.followed) or rows < FEW_ROWS
 
     def _whole(self, request: Request) -> bool:
         """Whether a request takes both sides of a rig."""
