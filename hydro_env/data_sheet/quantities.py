@@ -112,7 +112,7 @@ def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
     known = _Known()
     valve, motor, supply, lines, oil = sheet.tables(channel)
     for table in (valve, motor, supply, lines, oil):
-        for key, value in table.given().items():
+        for key, value in table:
             known.give(f"oil_{key}" if table is oil else key, value)
     _of_valve(known, valve)
     _of_motor(known, motor, supply)
@@ -126,14 +126,12 @@ def _of_valve(known: _Known, valve: Valve) -> None:
         why = "the sheet does not say; 2: the drop is that over one edge, 1: over the valve"
         known.assume("edges", 1.0, 1.0, 2.0, why)
     known.give("edges", 2.0 if valve.pressure_drop_over == "edge" else 1.0)
-    kind = (
-        "servo valve"
-        if valve.kind == "servo"
-        else "valve with spool feedback"
-        if valve.spool_feedback
-        else None
-    )
-    if kind is None and (valve.kind or valve.spool_feedback is False):
+    kind = None
+    if valve.kind == "servo":
+        kind = "servo valve"
+    elif valve.spool_feedback:
+        kind = "valve with spool feedback"
+    elif valve.kind or valve.spool_feedback is False:
         kind = "proportional valve"
     timed = [key for key in DYNAMIC if key in known]
     known.assume_class(_VALVES, kind, "proportional valve")

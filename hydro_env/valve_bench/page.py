@@ -45,11 +45,10 @@ def gain_of(valves: Sequence[Valve]) -> tuple[str, Callable[[Valve, Mapping[str,
     units = {valve["rated_signal"]["unit"] for valve in valves}
     if len(units) == 1:
         return f"l/min per {units.pop()}", lambda valve, side: side["gain_lpm_per_unit"]
-
-    def per_percent(valve: Valve, side: Mapping[str, Any]) -> float:
-        return float(side["gain_lpm_per_unit"] * valve["rated_signal"]["value"] / 100.0)
-
-    return "l/min per %", per_percent
+    return (
+        "l/min per %",
+        lambda valve, side: side["gain_lpm_per_unit"] * valve["rated_signal"]["value"] / 100.0,
+    )
 
 
 def _percent(value: float | None) -> str:
