@@ -69,39 +69,33 @@ def _arrows(axis: Any, loop: Loop, scale: float, colour: str) -> None:
             continue
         for share in (0.18, 0.82):
             n = int(np.clip(share * len(branch.signal), 3, len(branch.signal) - 4))
-            start, end = n - 3 * way, n + 3 * way
+            tail, tip = (
+                (branch.signal[at] * scale, branch.flow[at] / LPM) for at in (n - 3 * way, n + 3 * way)
+            )
             axis.annotate(
-                "",
-                (branch.signal[end] * scale, branch.flow[end] / LPM),
-                (branch.signal[start] * scale, branch.flow[start] / LPM),
-                arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 9},
+                "", tip, tail, arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 9}
             )
 
 
 def draw_rates(names: Sequence[str], checks: Sequence[RateCheck]) -> Any:
     """Mean loop over sweep rate of each valve, with the fitted hysteresis + 2 lag rate."""
     drawing, (axis,) = figure(1, height=3.2)
+    shown: set[float] = set()
     for n, (name, check) in enumerate(zip(names, checks, strict=True)):
         colour = COLOURS[n % len(COLOURS)]
         rates = np.array([100.0 * sweep.rate / check.rated for sweep in check.sweeps])
+        shown |= {float(f"{rate:.2g}") for rate in rates}
         wide = np.array([100.0 * np.abs(sweep.blocks) / check.rated for sweep in check.sweeps])
         mean = np.abs(np.array([100.0 * sweep.width / check.rated for sweep in check.sweeps]))
         spread = np.abs(np.array([mean - wide.min(axis=1), wide.max(axis=1) - mean]))
         axis.errorbar(rates, mean, spread, fmt="o", color=colour, capsize=3, label=f"{name}: {check.verdict}")
         if check.hysteresis_percent is not None and check.lag_s is not None:
             fine = np.geomspace(rates.min(), rates.max(), 100)
-            axis.plot(
-                fine,
-                np.abs(check.hysteresis_percent[0] + 2.0 * check.lag_s[0] * fine),
-                color=colour,
-                linewidth=0.9,
-            )
+            loop = np.abs(check.hysteresis_percent[0] + 2.0 * check.lag_s[0] * fine)
+            axis.plot(fine, loop, color=colour, linewidth=0.9)
     axis.set(xlabel="sweep rate, % of the rated signal per second", ylabel="loop, % of the rated signal",
              xscale="log", ylim=(0.0, None))  # fmt: skip
-    shown = sorted(
-        {float(f"{100.0 * sweep.rate / check.rated:.2g}") for check in checks for sweep in check.sweeps}
-    )
-    axis.set_xticks(shown, [f"{rate:g}" for rate in shown])
+    axis.set_xticks(sorted(shown), [f"{rate:g}" for rate in sorted(shown)])
     axis.set_xticks([], minor=True)
     legend(axis)
     return drawing
