@@ -106,12 +106,8 @@ def _piece(rng: np.random.Generator, size: float, max_load: float) -> Array:
     middle = rng.uniform(-0.7, 0.7) * rng.integers(2)
     swing = 0.05 * 20.0 ** rng.random() * rng.choice([-1.0, 1.0])
     cycles = 0.5 * 12.0 ** rng.random()
-    wave = (
-        triangle(cycles * x),
-        np.where((cycles * x) % 1.0 < 0.5, 1.0, -1.0),
-        np.sin(np.pi * 4.0 * cycles * x * x),
-        np.ones(PIECE),
-    )[kind]
+    steps, sweep = np.where((cycles * x) % 1.0 < 0.5, 1.0, -1.0), np.sin(np.pi * 4.0 * cycles * x * x)
+    wave = (triangle(cycles * x), steps, sweep, np.ones(PIECE))[kind]
     load = rng.uniform(-max_load, max_load) * rng.integers(2) * (x >= rng.uniform(0.0, 0.7) * rng.integers(2))
     return size * np.column_stack([np.clip(middle + swing * wave, -1.0, 1.0), load])
 

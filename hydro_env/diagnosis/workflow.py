@@ -136,5 +136,4 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
         **vars(found), logs=logs, findings=calibrated.findings, screening=screened, selection=selected, locations=locations,
         effects=effects, undetermined=list(uncertainty.undetermined(logs.rig)),
     )  # fmt: skip
-    proposed = do(next_experiment.run, state)
-    return replace(state, next_experiment=proposed, warnings=do(warnings.run, state))
+    return replace(state, next_experiment=do(next_experiment.run, state), warnings=do(warnings.run, state))

@@ -160,9 +160,8 @@ def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: 
 
     Nobody knows what the rig did while the clock jumped: only the stretch without a jump that holds all windows is given.
     """
-    for finding in log.findings:
-        if not finding.sure or finding.code in accept:
-            continue
+    wrong = [finding for finding in log.findings if finding.sure and finding.code not in accept]
+    for finding in wrong:
         if finding.code == "clock_jump":
             steps = np.diff(log.time_s)
             jumps = np.flatnonzero(steps > jump_size(log.time_s))

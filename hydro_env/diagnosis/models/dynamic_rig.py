@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -150,7 +150,7 @@ class DynamicRig(RigModel):
         for n, leader in enumerate(first):
             families.setdefault(leader, []).extend([n] if n != leader else [])
 
-        def run(batches: Sequence[_Batch]) -> set[int]:
+        def run(batches: Iterable[_Batch]) -> set[int]:
             work = partial(self._run, requests=requests, results=results)
             lost = map(work, batches) if self._pool is None else self._pool.map(work, batches)
             return {n for each in lost for n in each if first[n] != n}
@@ -161,23 +161,21 @@ class DynamicRig(RigModel):
         run(self._free(requests, {n: [] for n in sorted(lost)}))
         return results
 
-    def _free(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+    def _free(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> Iterator[_Batch]:
         """Batches of those that take steps of their own and that no other one follows."""
         by_kernel: dict[tuple[str, ...], list[int]] = {}
         for n, others in families.items():
             if not others:
                 by_kernel.setdefault(self.kernel(requests[n].effects), []).append(n)
-        batches = []
         for effects, numbers in by_kernel.items():
             rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
                 width = FOLLOWING_BLOCK if self.followed else BLOCK
-                every = (lanes[n : n + width] for n in range(0, len(lanes), width))
-                batches += [_Batch(effects, period, own) for own in every]
-        return batches
+                for n in range(0, len(lanes), width):
+                    yield _Batch(effects, period, lanes[n : n + width])
 
-    def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+    def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> Iterator[_Batch]:
         """Batches of those that take the steps of another one, which is the first of each. A side of a block is all of one."""
         sides: dict[tuple[tuple[str, ...], bool], list[list[int]]] = {}
         for leader, others in families.items():
@@ -185,7 +183,6 @@ class DynamicRig(RigModel):
             whole = len(self._sides(leader, requests[leader])) == 2
             for n in range(0, len(others), BLOCK - 1):
                 sides.setdefault((effects, whole), []).append([leader, *others[n : n + BLOCK - 1]])
-        batches = []
         for (effects, whole), every in sides.items():
             step, blocks = 1 if whole else 2, []
             for both in (every[n : n + step] for n in range(0, len(every), step)):
@@ -197,8 +194,7 @@ class DynamicRig(RigModel):
                 if self.followed:  # several blocks together, each filled up with its first lane
                     filled = [lane for own in lanes for lane in (*own, *own[:1] * (BLOCK - len(own)))]
                     lanes = [filled[n : n + FOLLOWING_BLOCK] for n in range(0, len(filled), FOLLOWING_BLOCK)]
-                batches += [_Batch(effects, period, own, grouped=True) for own in lanes]
-        return batches
+                yield from (_Batch(effects, period, own, grouped=True) for own in lanes)
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.

@@ -54,9 +54,9 @@ def traces(state: Diagnosis) -> list[tuple[str, Any]]:
     by_channel = [{s.signal: s for s in proof.rig.segments[c][::-1]} for c in proof.rig.channels]
     by_channel.sort(key=lambda own: own["speed"].channel != first)
     off = {key for key, e in proof.errors.items() if e["calibrated"] > FAR_OFF * e["noise"]}
-    others = (s for own in by_channel for s in own.values() if s.signal != "speed")
-    far = (s for s in others if (s.channel, s.signal) in off)
-    return [_trace(state, s) for s in (*(own["speed"] for own in by_channel), *far)]
+    speeds = [own.pop("speed") for own in by_channel]
+    far = (s for own in by_channel for s in own.values() if (s.channel, s.signal) in off)
+    return [_trace(state, s) for s in (*speeds, *far)]
 
 
 def _trace(state: Diagnosis, segment: Segment) -> tuple[str, Any]:

@@ -69,10 +69,8 @@ def _worst(state: State) -> SignalErrors:
 def headline(state: State) -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
     speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
-    return max(
-        [e for e in speeds if e.channel in named] or speeds,
-        key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30),
-    )
+    own = [e for e in speeds if e.channel in named] or speeds
+    return max(own, key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30))
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
@@ -218,11 +216,9 @@ def places(state: State) -> list[str]:
 def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
     c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
-    found = []
-    for own, p in n.parameters.items():
-        share = words.of_command(n.name, own, p.value, state.model, c)
-        found.append((CATALOGUE[n.name].parameter(own).title, words.interval(p), share))
-    return found
+    effect, values = CATALOGUE[n.name], n.parameters.items()
+    shares = {own: words.of_command(n.name, own, p.value, state.model, c) for own, p in values}
+    return [(effect.parameter(own).title, words.interval(p), shares[own]) for own, p in values]
 
 
 def comment(rig: RigModel, p: KnownParameter) -> str:

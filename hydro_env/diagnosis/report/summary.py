@@ -19,14 +19,13 @@ LINES = 20
 def summary(state: Diagnosis) -> str:
     """What the page says, shorter."""
     guess = " (best guess, not proven)" if state.best_guess else ""
-    places, tried, known = _places(state), _tried(state), _known(state)
+    places, tried, known, warnings = _places(state), _tried(state), _known(state), state.warnings
     lines = [*filter(None, (f"verdict: {state.verdict}{guess}", say.sentence(state), say.weak_proof(state)))]
     lines += [*(_effect(state, n) for n in state.effects), *places]
     lines += [f"  form correction, not physics: {text}" for text in say.correction_texts(state)]
     lines += [*_errors(state), *tried, known, _hidden(state)]
     if state.next_experiment:
         lines.append(f"  next experiment: {state.next_experiment.description}")
-    warnings = state.warnings
     # What a full screen can spare first: the second place, then what was rejected, then known parameters.
     spare = [known, *tried, *places[1:]]
     while len(lines) > LINES - min(2, len(warnings)) and spare:
@@ -91,10 +90,8 @@ def _known(state: Diagnosis) -> str:
     rows = sorted(known, key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"
-    texts = [
-        f"{p.name} = {words.interval(p.estimate)}" if p.symbol in own else f"{p.name} {p.moved_by()}"
-        for p in rows
-    ]
+    values = (f"= {words.interval(p.estimate)}" if p.symbol in own else p.moved_by() for p in rows)
+    texts = [f"{p.name} {value}" for p, value in zip(rows, values, strict=True)]
     far = ", ".join(p.name for p in rows if p.unusual and p.symbol not in own)
     check = f"; check {far}: further than usual" if far else ""
     return f"  known parameters that moved: {_first(texts)}{check}"

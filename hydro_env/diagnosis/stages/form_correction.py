@@ -121,9 +121,7 @@ def with_correction(estimate: Estimate, effect: str, of: Effect, channel: int | 
     alone = channel if estimate.channel is None else None
     correction = of.name
     repeated, added = follows(correction, effect), []
-    for p in of.parameters:
-        if f"{correction}.{p.name}" in repeated:
-            continue
+    for p in (p for p in of.parameters if f"{correction}.{p.name}" not in repeated):
         # The prior is as wide as a correction usually is: ridge regression, in other words.
         shape = not p.carries_size
         scale = 0.7 if p.log else 0.15 * (p.high - p.low) if shape else abs(p.typical)

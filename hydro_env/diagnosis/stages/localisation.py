@@ -131,10 +131,8 @@ def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
 def _replays(rig: RigModel, estimate: Estimate, channel: int) -> Iterator[_Replay]:
     """What can be replayed of the signals of each log."""
     by_log = [{s.signal: s for s in rig.segments[channel] if s.log == n} for n in range(len(rig.parts))]
-    shafts = [
-        shaft_of(p, channel, step=mine["speed"].step) if rig.has_hidden_states else None
-        for p, mine in zip(rig.parts, by_log, strict=True)
-    ]
+    dynamic, both = rig.has_hidden_states, zip(rig.parts, by_log, strict=True)
+    shafts = [shaft_of(p, channel, step=own["speed"].step) if dynamic else None for p, own in both]
     best = _best_shaft(estimate, rig, channel, [s for s in shafts if s is not None])
     for number, (part, mine, shaft) in enumerate(zip(rig.parts, by_log, shafts, strict=True)):
         simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}
@@ -180,12 +178,8 @@ def _openings(command: np.ndarray, rated: float) -> dict[str, np.ndarray]:
 
 def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
     """Regimes (n,) of the shaft."""
-    fast = float(np.nanmax(np.abs(speed)))
-    return {
-        "speed near zero": np.abs(speed) < 0.15 * fast,
-        "positive speed": speed > 0.0,
-        "negative speed": speed < 0.0,
-    }
+    slow = np.abs(speed) < 0.15 * float(np.nanmax(np.abs(speed)))
+    return {"speed near zero": slow, "positive speed": speed > 0.0, "negative speed": speed < 0.0}
 
 
 def _lost_within_a_second(shaft: Shaft, values: Mapping[str, float]) -> np.ndarray:

@@ -64,14 +64,12 @@ class _Projector:
         columns = estimate.columns[channel] * self.weights[:, None]
         # Rows of the prior below the columns make the projection a ridge: parameters move inside their priors only.
         prior = np.diag([1.0 if u.prior else 1e-3 for u in estimate.unknowns])
-        self.basis = np.linalg.qr(np.vstack([columns, prior]))[0]
         # Of the vectors that are projected the rows of the prior are zero.
-        self.rows = self.basis[: len(columns)]
+        self.rows = np.linalg.qr(np.vstack([columns, prior]))[0][: len(columns)]
 
     def __call__(self, vector: np.ndarray) -> np.ndarray:
         weighted = vector * self.weights
-        projected: np.ndarray = weighted - self.rows @ (self.rows.T @ weighted)
-        return projected
+        return np.asarray(weighted - self.rows @ (self.rows.T @ weighted))
 
 
 def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:

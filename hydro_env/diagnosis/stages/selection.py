@@ -69,8 +69,7 @@ def select(search: Search) -> Search:
     compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
-    own = search.calibrated
-    other = Search(search.fit, own, search.screening, search.seconds, dict(own))
+    other = Search(search.fit, search.calibrated, search.screening, search.seconds, dict(search.calibrated))
     _search(other, not leads)
     return better_set(search, other)
 
