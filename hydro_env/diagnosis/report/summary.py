@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from ..result import Diagnosis
 from ..stages.naming import NamedEffect
 from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE
 from ..stages.values import known_parameters
 from . import statements as say
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: Lines at most: those of a small terminal.
 LINES = 20
