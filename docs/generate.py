@@ -944,9 +944,8 @@ def filled(text: str) -> str:
     return re.sub(r"(<!-- generated: (\w+) -->)\n.*?<!-- end -->", fill, text, flags=re.S)
 
 
-def main() -> None:
-    for argument in sys.argv[1:]:
-        take(argument)
+def write() -> None:
+    """Writes the generated parts of all pages."""
     for page in pages():
         text = page.read_text(encoding="utf-8")
         if text != filled(text):
@@ -955,4 +954,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    for argument in sys.argv[1:]:
+        take(argument)
+    write()

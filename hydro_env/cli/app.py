@@ -7,20 +7,16 @@ from typing import Annotated
 import typer
 
 from hydro_env import __version__
+from hydro_env.cli.components import describe, valve_test
 from hydro_env.cli.controllers import benchmark, tune
-from hydro_env.cli.dataset import dataset
-from hydro_env.cli.describe import describe
 from hydro_env.cli.diagnosis import diagnose, hide
-from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
+from hydro_env.cli.experiments import close_loop, demo, pdf, reproduce, speed
 from hydro_env.cli.export import export
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
-from hydro_env.cli.lab import lab
+from hydro_env.cli.learning import dataset, train
 from hydro_env.cli.listing import list_names
-from hydro_env.cli.live import live
+from hydro_env.cli.live import lab, live
 from hydro_env.cli.naming_benchmark import naming_benchmark
-from hydro_env.cli.pdf import pdf
-from hydro_env.cli.training import train
-from hydro_env.cli.valve_test import valve_test
 
 app = typer.Typer(
     cls=HelpfulGroup,

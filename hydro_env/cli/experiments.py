@@ -1,10 +1,11 @@
-"""The commands `demo`, `reproduce`, `speed` and `close-loop`."""
+"""The commands `demo`, `reproduce`, `speed`, `close-loop` and `pdf`."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
-from typer import Option
+from typer import Argument, Option
 
 from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, number, writing
 from hydro_env.limits import Limits
@@ -71,3 +72,17 @@ def close_loop(
 
         settings = work.Settings(tuple(case or work.CASES), seeds, seed)
         print(summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine, pictures=pictures)))
+
+
+def pdf(
+    out: Out, pages: Annotated[list[Path], Argument(metavar="PAGE.html...", help="Pages that other commands have written.")]
+) -> None:  # fmt: skip
+    """Print pages of results as PDF.
+
+    PAGE.pdf for each, printed by Chromium, Chrome or Edge, whichever is found, or by $CHROME.
+    """
+    with writing(out) as folder:
+        from hydro_env.pages.pdf import to_pdf
+
+        for page in pages:
+            to_pdf(page, folder)

@@ -59,34 +59,23 @@ def fmu(
             print(f"Note: {made.note}.")
 
 
-@export.command(cls=HelpfulCommand)
-def c(
-    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None, single: Single = False,
-    trust: Trust = False,
+def _controller(
+    context: typer.Context, controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None,
+    single: Single = False, trust: Trust = False,
 ) -> None:  # fmt: skip
-    """Export a controller as C99.
-
-    One header and one source; a state of fixed size, nothing allocated, nothing but math.h.
-    """
     with writing(out) as folder:
         from hydro_env.export.controllers import export_controller
 
-        export_controller("c", controller, folder, control_period, plant, single, trust)
+        export_controller(str(context.info_name), controller, folder, control_period, plant, single, trust)
 
 
-@export.command(cls=HelpfulCommand)
-def st(
-    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None, single: Single = False,
-    trust: Trust = False,
-) -> None:  # fmt: skip
-    """Export a controller as Structured Text.
-
-    A function block of IEC 61131-3 for a PLC: PID, couplings, and networks.
-    """
-    with writing(out) as folder:
-        from hydro_env.export.controllers import export_controller
-
-        export_controller("st", controller, folder, control_period, plant, single, trust)
+for _language, _help in {
+    "c": "Export a controller as C99.\n\n"
+    "One header and one source; a state of fixed size, nothing allocated, nothing but math.h.",
+    "st": "Export a controller as Structured Text.\n\n"
+    "A function block of IEC 61131-3 for a PLC: PID, couplings, and networks.",
+}.items():
+    export.command(_language, cls=HelpfulCommand, help=_help)(_controller)
 
 
 @export.command(cls=HelpfulCommand)

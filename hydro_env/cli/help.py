@@ -8,34 +8,20 @@ from typing import Any
 
 from typer.core import TyperCommand, TyperGroup
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "Task": (
-        "algo", "config", "steps",
-        "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
-        "linear", "as_shipped", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate",
-        "duration", "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "play", "check", "declare",
-        "empty", "experiment", "command_limit", "rate_limit", "pressure_limit", "load_limit", "questions", "sensor",
-        "signal", "fmi",
-    ),
-    "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
-    "Columns of logs and curves": (
-        "inspect", "mapping", "signal_column", "flow_column", "time_column", "signal_unit", "flow_unit", "time_unit", "rated",
-        "row_period", "sweep_period", "one_valve",
-    ),
-    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet", "port", "browser", "live"),
-    "Output": ("out", "name", "pictures", "as_json"),
-}  # fmt: skip
-"""Options, by the names of their parameters, under the heading that they stand below; all others come last."""
-
 
 @cache
-def examples() -> dict[str, list[str]]:
-    """Examples by command; "" for those of `hydro-env --help`."""
+def lists(name: str) -> dict[str, list[str]]:
+    """What stands in a file of the package, examples.yaml or headings.yaml."""
     import yaml
 
-    text = files("hydro_env.cli").joinpath("examples.yaml").read_text(encoding="utf-8")
+    text = files("hydro_env.cli").joinpath(name).read_text(encoding="utf-8")
     found: dict[str, list[str]] = yaml.safe_load(text)
     return found
+
+
+def examples() -> dict[str, list[str]]:
+    """Examples by command; "" for those of `hydro-env --help`."""
+    return lists("examples.yaml")
 
 
 def _write_examples(formatter: Any, command: str) -> None:
@@ -47,12 +33,16 @@ def _write_examples(formatter: Any, command: str) -> None:
 
 
 class HelpfulCommand(TyperCommand):
-    """A command whose help shows its options in `GROUPS`, and its examples."""
+    """A command whose help shows its options below the headings of headings.yaml, and its examples."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Writes arguments and groups of options."""
-        groups: dict[str, list[tuple[str, str]]] = {name: [] for name in ("Arguments", *GROUPS, "Help")}
-        headings = {option: heading for heading, options in GROUPS.items() for option in options}
+        groups: dict[str, list[tuple[str, str]]] = {
+            name: [] for name in ("Arguments", *lists("headings.yaml"), "Help")
+        }
+        headings = {
+            option: heading for heading, options in lists("headings.yaml").items() for option in options
+        }
         for parameter in self.get_params(ctx):
             if (record := parameter.get_help_record(ctx)) is not None:
                 argument = parameter.param_type_name == "argument"

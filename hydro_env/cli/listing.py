@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +12,8 @@ from hydro_env.errors import InputError, suggestion
 from hydro_env.files import output_folder, to_json, write_json
 
 SCHEMA = "hydro_env/list/1"
+
+Entries = list[dict[str, Any]]
 
 
 def list_names(
@@ -35,59 +37,56 @@ def list_names(
     print(to_json(data, indent=1) if as_json else "\n\n".join(map(_block, found, found.values())))
 
 
-def _block(kind: str, entries: list[dict[str, Any]]) -> str:
+def _block(kind: str, entries: Entries) -> str:
     width = max(len(entry["name"]) for entry in entries)
     return "\n".join([kind, *(f"  {entry['name']:{width}}  {entry['summary']}" for entry in entries)])
 
 
-def _controllers() -> list[dict[str, Any]]:
+def _entries(things: Iterable[Any], *keys: str, **renamed: str) -> Entries:
+    """An entry for each thing: its attributes by key, but for those that have another name than their key."""
+    return [{key: getattr(each, renamed.get(key, key)) for key in keys} for each in things]
+
+
+def _controllers() -> Entries:
     from hydro_env.controllers.registry import CONTROLLERS
 
-    return [{"name": each.name, "summary": each.summary} for each in CONTROLLERS.values()]
+    return _entries(CONTROLLERS.values(), "name", "summary")
 
 
-def _effects() -> list[dict[str, Any]]:
+def _effects() -> Entries:
     from hydro_env.plant.catalogue import BUILT_IN, CATALOGUE
 
-    def parameter(p: Any) -> dict[str, Any]:
-        keys = ("name", "unit", "neutral", "low", "high", "typical")
-        return {key: getattr(p, key) for key in keys} | {"summary": p.title}
-
-    return [
-        {"name": each.name, "summary": each.summary, "port": each.port, "parameters": list(map(parameter, each.parameters))}
-        for each in (CATALOGUE[name] for name in BUILT_IN)
-    ]  # fmt: skip
+    found = _entries((CATALOGUE[name] for name in BUILT_IN), "name", "summary", "port", "parameters")
+    keys = ("name", "unit", "neutral", "low", "high", "typical", "summary")
+    return [{**each, "parameters": _entries(each["parameters"], *keys, summary="title")} for each in found]
 
 
-def _presets() -> list[dict[str, Any]]:
+def _presets() -> Entries:
     from hydro_env.plant.model_files import preset_names, preset_summary
 
     return [{"name": name, "summary": preset_summary(name)} for name in preset_names()]
 
 
-def _scenarios() -> list[dict[str, Any]]:
+def _scenarios() -> Entries:
     from hydro_env.tasks import SCENARIOS
 
-    return [
-        {"name": each.name, "summary": each.summary, "seconds": each.duration} for each in SCENARIOS.values()
-    ]
+    return _entries(SCENARIOS.values(), "name", "summary", "seconds", seconds="duration")
 
 
-def _splits() -> list[dict[str, Any]]:
+def _splits() -> Entries:
     from hydro_env.tasks import OWN, SPLITS
 
-    drawn = [{"name": each.name, "summary": each.summary, "pairs": each.cases} for each in SPLITS.values()]
     own = {"name": OWN, "summary": "the plant's own pair of valves; only noise differs", "pairs": 1}
-    return [*drawn, own]
+    return [*_entries(SPLITS.values(), "name", "summary", "pairs", pairs="cases"), own]
 
 
-def _metrics() -> list[dict[str, Any]]:
+def _metrics() -> Entries:
     from hydro_env.tasks import METRICS
 
-    return [{"name": each.name, "summary": each.definition, "unit": each.unit} for each in METRICS.values()]
+    return _entries(METRICS.values(), "name", "summary", "unit", summary="definition")
 
 
-def _suites() -> list[dict[str, Any]]:
+def _suites() -> Entries:
     from hydro_env.benchmark.suite import shipped_suites
 
     def summary(suite: Any) -> str:
@@ -97,7 +96,7 @@ def _suites() -> list[dict[str, Any]]:
     return [{"name": each.name, "summary": summary(each)} for each in shipped_suites().values()]
 
 
-KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+KINDS: dict[str, Callable[[], Entries]] = {
     "controllers": _controllers, "effects": _effects, "presets": _presets, "scenarios": _scenarios, "splits": _splits,
     "metrics": _metrics, "suites": _suites,
 }  # fmt: skip

@@ -156,7 +156,8 @@ def _run(arguments: Sequence[str] | None) -> int:
                     f"{folder}: damaged machine code was removed; the same command compiles it again"
                 )
             raise
-        return _fail(f"{usage()} Try `{_path(problem)} --help`.")
+        context = getattr(problem, "ctx", None)
+        return _fail(f"{usage()} Try `{context.command_path if context else 'hydro-env'} --help`.")
     if status == 130:  # typer turns an interruption into this
         return _fail(INTERRUPTED, status=130)
     return status if isinstance(status, int) else 0
@@ -180,8 +181,3 @@ def spread(arguments: list[str], options: Sequence[str]) -> list[str]:
 def _fail(problem: object, status: int = 2) -> int:
     print(f"error: {InputError(problem)}", file=sys.stderr)  # whatever it was, one line that can be printed
     return status
-
-
-def _path(problem: Exception) -> str:
-    context = getattr(problem, "ctx", None)
-    return context.command_path if context else "hydro-env"

@@ -25,40 +25,6 @@ EFFECTS = (
     "motor_coulomb_friction",
 )  # fmt: skip
 
-#: Where each value comes from, in words; effects as a whole unless a parameter is named.
-HOW = {
-    "D": "displacement",
-    "J": "inertia of motor and load",
-    "B": "viscous part of the mechanical losses",
-    "Km": "leakage by the volumetric efficiency, laminar",
-    "beta": "oil and yielding walls in series (Merritt 1967, ch. 1)",
-    "V": "both lines and half the motor's displacement in each, in series",
-    "m": "by the natural frequency of the spool",
-    "R": "rated command over rated current",
-    "L": "lag of the coil or of the amplifier's current loop",
-    "alpha": "rated force over rated current",
-    "k": "a scale: only its ratio to mass, force and friction is known",
-    "C": "by the damping ratio of the spool",
-    "Kq": "rated flow over rated opening, at the supply pressure by the root of the drops (Merritt 1967, ch. 5)",
-    "Fc": "dry friction's share of the hysteresis",
-    "Fs": "as Fc, with a peak of one half without spool feedback (assumed)",
-    "vs": "assumed: as the base plant's at this travel",
-    "s0": "assumed: bristles yield at about a thousandth of the travel, as the base plant's",
-    "s1": "assumed: damping ratio 0.5 of the spool on its bristles",
-    "s2": "all viscous damping is in C",
-    "x_max": "assumed: stops at 116 % of the rated travel, as the base plant's",
-    "k_stop": "assumed: as stiff against the spring as the base plant's",
-    "u_rated": "rated command",
-    "magnetic_hysteresis": "the rest of the hysteresis; width assumed, 4 % of the rated current",
-    "dead_zone": "overlap as a share of the rated travel",
-    "pressure_dependent_flow": "supply pressure",
-    "supply_droop": "loss of the supply while both valves are fully open",
-    "entrained_air": "free air, which acts as in lines at half the supply",
-    "line_loss": "friction of both lines (Blasius, or laminar) and fittings (Darcy-Weisbach)",
-    "crossport_relief": "relief valves between the ports; slope by their override at full flow",
-    "motor_coulomb_friction": "dry part of the mechanical losses, static friction by the starting torque; Stribeck speed assumed",
-}
-
 
 @dataclass(frozen=True)
 class Fitted:

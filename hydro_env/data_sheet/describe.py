@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from hydro_env.data_sheet.derive import EFFECTS, HOW, Fitted, full_flow, parameters
+from hydro_env.data_sheet.derive import EFFECTS, Fitted, full_flow, parameters
 from hydro_env.data_sheet.quantities import DYNAMIC, Quantity, quantities, values_of
 from hydro_env.data_sheet.sheet import TABLES, DataSheet
 from hydro_env.data_sheet.simulated import dynamics_of, motor_figures, rig_figures, steady_figures
 from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import PlantModel, parameter_of, scales_of
+from hydro_env.reading import parse_yaml
 
 SCHEMA = "hydro_env/describe/1"
 #: Relative deviation of the simulated from the given figure that is marked, and what is never marked, in the figure's unit.
@@ -204,6 +206,8 @@ def _ranges(
 
 def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
     """Where each value is from: how, and from which keys of the sheet and which assumptions."""
+    text = files(__package__).joinpath("sources.yaml").read_text(encoding="utf-8")
+    words = parse_yaml(text, "sources.yaml")
     texts: dict[str, dict[str, None]] = {}
     for c in channels:
         nominal = c.parameters
@@ -213,7 +217,7 @@ def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
             for name in _moved(nominal, c.moved(key, 1.01 * quantity.value or 0.01)):
                 used[name].append(text)
         for name, keys in used.items():
-            how = HOW.get(name) or HOW[name.partition(".")[0]]
+            how = words.get(name) or words[name.partition(".")[0]]
             texts.setdefault(name, {})[f"{how}; {', '.join(keys)}" if keys else how] = None
     tables = [f"{name}: {t.source}" for name, t in zip(TABLES, sheet.tables(0), strict=True) if t.source]
     printed = f" [{'; '.join(tables)}]" if tables else ""

@@ -1,7 +1,7 @@
 """What is known of a rig: each quantity of its data sheets in the sheet's unit, given or assumed with a range.
 
 The assumed values are class values: what data sheets of such components have in common, not one data sheet. None of them is from
-a standard. They stand in this file and nowhere else.
+a standard. Those of kinds of components stand in class_values.yaml, the others in this file, and nowhere else.
 """
 
 from __future__ import annotations
@@ -9,9 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
 from hydro_env.data_sheet.derive import full_flow
 from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Supply, Valve
+from hydro_env.reading import parse_yaml
 
 
 @dataclass(frozen=True)
@@ -29,57 +33,18 @@ class Quantity:
         return self.low is not None
 
 
-#: value, low, high of the class. `damping`: damping ratio of the spool; `coil_lag`: time constant of the coil over the period of
-#: the spool's oscillation divided by 2 pi; `friction_share`: share of the hysteresis that is dry friction, the rest is magnetic.
-_VALVES = {
-    "proportional valve": {
-        "dead_band_percent": (15.0, 5.0, 30.0), "hysteresis_percent": (5.0, 3.0, 8.0), "step_response_ms": (50.0, 25.0, 100.0),
-        "damping": (0.5, 0.3, 1.0), "coil_lag": (1.0, 0.3, 2.0), "friction_share": (0.5, 0.2, 0.8),
-    },
-    "valve with spool feedback": {
-        "dead_band_percent": (10.0, 0.0, 25.0), "hysteresis_percent": (0.5, 0.1, 1.0), "step_response_ms": (20.0, 10.0, 40.0),
-        "damping": (0.7, 0.5, 1.0), "coil_lag": (0.12, 0.05, 0.3), "friction_share": (1.0, 1.0, 1.0),
-    },
-    "servo valve": {
-        "dead_band_percent": (0.0, 0.0, 3.0), "hysteresis_percent": (1.0, 0.2, 3.0), "step_response_ms": (10.0, 5.0, 20.0),
-        "damping": (0.7, 0.5, 1.0), "coil_lag": (0.12, 0.05, 0.3), "friction_share": (1.0, 1.0, 1.0),
-    },
-}  # fmt: skip
-#: `dry_share`: share of the mechanical losses that is dry friction; `static_over_dry`: static friction over that.
-_MOTORS = {
-    "gear": {
-        "volumetric_efficiency_percent": (90.0, 80.0, 95.0), "mechanical_efficiency_percent": (87.0, 80.0, 92.0),
-        "at_speed_rpm": (1500.0, 1000.0, 2000.0),
-    },
-    "orbital": {
-        "volumetric_efficiency_percent": (92.0, 85.0, 97.0), "mechanical_efficiency_percent": (82.0, 75.0, 90.0),
-        "at_speed_rpm": (200.0, 100.0, 400.0),
-    },
-    "piston": {
-        "volumetric_efficiency_percent": (95.0, 92.0, 98.0), "mechanical_efficiency_percent": (93.0, 88.0, 96.0),
-        "at_speed_rpm": (1500.0, 1000.0, 2000.0),
-    },
-}  # fmt: skip
-#: Loss of supply pressure while both valves are fully open, and the time in which the supply follows.
-_SUPPLIES = {
-    "pressure_compensated": {"droop_percent": (10.0, 3.0, 25.0), "droop_ms": (100.0, 50.0, 150.0)},
-    "fixed_pump": {"droop_percent": (10.0, 3.0, 25.0), "droop_ms": (20.0, 10.0, 50.0)},
-    "accumulator": {"droop_percent": (5.0, 1.0, 20.0), "droop_ms": (1000.0, 200.0, 5000.0)},
-}
-#: Bulk modulus that the yielding wall stands for; rubber: with that of oil about 8000 bar, half to two thirds of the oil's own
-#: (Merritt 1967, ch. 1).
-_WALLS = {
-    "rubber": {"wall_bulk_modulus_bar": (19000.0, 8000.0, 40000.0)},
-    "thermoplastic": {"wall_bulk_modulus_bar": (15000.0, 6000.0, 30000.0)},
-    "steel": {"wall_bulk_modulus_bar": (200000.0, 100000.0, 400000.0)},
-}
 #: Figures of the spool's dynamics that a sheet may have.
 DYNAMIC = ("step_response_ms", "frequency_minus_3_dB_Hz", "frequency_minus_90_deg_Hz")
 #: Speed of the oil by which the bore of a line is chosen, m/s.
 _OIL_SPEED = 5.0
 _RULE = "class value, assumed"
 
-Class = dict[str, tuple[float, float, float]]
+
+@cache
+def _classes() -> Any:
+    """Value, low and high of each quantity by component and kind."""
+    text = files(__package__).joinpath("class_values.yaml").read_text(encoding="utf-8")
+    return parse_yaml(text, "class_values.yaml")
 
 
 class _Known(dict[str, Quantity]):
@@ -92,8 +57,9 @@ class _Known(dict[str, Quantity]):
     def assume(self, key: str, low: float, value: float, high: float, why: str = _RULE) -> None:
         self.setdefault(key, Quantity(value, low, high, why))
 
-    def assume_class(self, classes: dict[str, Class], kind: str | None, default: str) -> None:
+    def assume_class(self, component: str, kind: str | None, default: str) -> None:
         """Class values of a kind; those of the default with the ranges of all kinds where it is not given."""
+        classes = _classes()[component]
         own = classes[kind or default]
         for key, (value, low, high) in own.items():
             others = [own] if kind else list(classes.values())
@@ -112,11 +78,11 @@ def quantities(sheet: DataSheet, channel: int) -> dict[str, Quantity]:
     known = _Known()
     valve, motor, supply, lines, oil = sheet.tables(channel)
     for table in (valve, motor, supply, lines, oil):
-        for key, value in table.given().items():
+        for key, value in table:
             known.give(f"oil_{key}" if table is oil else key, value)
     _of_valve(known, valve)
     _of_motor(known, motor, supply)
-    known.assume_class(_SUPPLIES, supply.kind, "pressure_compensated")
+    known.assume_class("supplies", supply.kind, "pressure_compensated")
     _of_lines(known, lines)
     return dict(known)
 
@@ -126,17 +92,15 @@ def _of_valve(known: _Known, valve: Valve) -> None:
         why = "the sheet does not say; 2: the drop is that over one edge, 1: over the valve"
         known.assume("edges", 1.0, 1.0, 2.0, why)
     known.give("edges", 2.0 if valve.pressure_drop_over == "edge" else 1.0)
-    kind = (
-        "servo valve"
-        if valve.kind == "servo"
-        else "valve with spool feedback"
-        if valve.spool_feedback
-        else None
-    )
-    if kind is None and (valve.kind or valve.spool_feedback is False):
+    kind = None
+    if valve.kind == "servo":
+        kind = "servo valve"
+    elif valve.spool_feedback:
+        kind = "valve with spool feedback"
+    elif valve.kind or valve.spool_feedback is False:
         kind = "proportional valve"
     timed = [key for key in DYNAMIC if key in known]
-    known.assume_class(_VALVES, kind, "proportional valve")
+    known.assume_class("valves", kind, "proportional valve")
     if timed and "step_response_ms" not in timed:
         del known["step_response_ms"]
     known.assume("step_response_to_percent", 80.0, 90.0, 98.0)
@@ -160,7 +124,7 @@ def _of_motor(known: _Known, motor: Motor, supply: Supply) -> None:
     fastest = 60.0 * full_flow(values_of(known)) / (1e-6 * motor.displacement_cm3)
     if fastest < 1000.0:
         known.assume("at_speed_rpm", 0.4 * fastest, 0.7 * fastest, fastest, "share of the speed at full flow")
-    known.assume_class(_MOTORS, motor.kind, "gear")
+    known.assume_class("motors", motor.kind, "gear")
     known.assume("at_pressure_bar", 0.5 * supply.pressure_bar, supply.pressure_bar, supply.pressure_bar)
     cm3 = motor.displacement_cm3
     like = 0.0028 / 8.47 * cm3
@@ -181,7 +145,7 @@ def _of_lines(known: _Known, lines: Lines) -> None:
     bore = 1000.0 * math.sqrt(4.0 * full_flow(values_of(known)) / (math.pi * _OIL_SPEED))
     why = f"for {_OIL_SPEED:g} m/s at full flow, a usual speed of oil"
     known.assume("bore_mm", 0.7 * bore, bore, 1.4 * bore, why)
-    known.assume_class(_WALLS, lines.kind, "rubber")
+    known.assume_class("lines", lines.kind, "rubber")
     known.assume("fittings", 3.0, 10.0, 30.0, f"{_RULE}: loss coefficient of ports and couplings of one line")
     if lines.crossport_relief_bar:
         known.assume("override_percent", 5.0, 10.0, 20.0, f"{_RULE}: rise of a relief valve at full flow")

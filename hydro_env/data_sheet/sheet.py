@@ -36,10 +36,6 @@ def _key(text: str, default: Any = None) -> Any:
 class _Table(FileTable):
     source: str = _key("which data sheet, or what was measured")
 
-    def given(self) -> dict[str, Any]:
-        """What the sheet says, by key."""
-        return {key: value for key, value in self if value is not None and key != "source"}
-
 
 class Valve(_Table):
     """A valve."""

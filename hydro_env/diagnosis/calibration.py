@@ -66,13 +66,11 @@ class Calibration:
 
     def as_dict(self) -> dict[str, Any]:
         """The parameters as under "calibrated" in diagnosis.json, the RMS errors of the residuals, and the warnings."""
-        return {
-            "calibrated": {n: {"nominal": p.nominal, **vars(p.estimate)} for n, p in self.parameters.items()},
-            "residuals": {
-                n: {"noise": r.noise, "before": r.before, "after": r.after} for n, r in self.residuals.items()
-            },
-            "warnings": self.warnings,
+        left = {
+            n: {k: getattr(r, k) for k in ("noise", "before", "after")} for n, r in self.residuals.items()
         }
+        known = {n: {"nominal": p.nominal, **vars(p.estimate)} for n, p in self.parameters.items()}
+        return {"calibrated": known, "residuals": left, "warnings": self.warnings}
 
 
 def estimate(
@@ -119,18 +117,17 @@ def estimate(
         after = models.final
         proof = prove(found.logs.fine, {"before": models.given, "calibrated": after, "after": after})
         known = {p.name: p for p in known_parameters(rig, after)}
+        improved = estimated_model(rig, after, f"{rig.model.name} calibrated")
         warnings = [*_warnings(found.logs.fit, after, found.findings, proof)]
-        return Calibration(
-            known, _residuals(proof), estimated_model(rig, after, f"{rig.model.name} calibrated"), warnings
-        )
+        return Calibration(known, _residuals(proof), improved, warnings)
 
 
 def _residuals(proof: Proof) -> dict[str, Residual]:
     rig, found = proof.rig, {}
     for (c, signal), e in proof.errors.items():
         own, size = rig.segments[c].by_signal[signal], shown_unit(rig, signal, c)[1]
-        errors = [(s.measured - proof.traces["after"][c][s.place]) / size for s in own]
-        errors = [np.where(s.used, error, np.nan) for s, error in zip(own, errors, strict=True)]
+        shown = proof.traces["after"][c]
+        errors = [np.where(s.used, (s.measured - shown[s.place]) / size, np.nan) for s in own]
         times = [rig.parts[s.log].log.time_s[s.rows] for s in own]
         found[signal_key(rig, signal, c)] = Residual(e["noise"], e["before"], e["after"], times, errors)
     return found

@@ -60,8 +60,7 @@ def write(found: Diagnosis, folder: Path) -> None:
     needed. A page that fails costs only the page."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "diagnosis.json", found.as_dict())
-    commands = found.next_experiment.csv() if found.next_experiment else None
-    if commands is not None:
+    if found.next_experiment and (commands := found.next_experiment.csv()):
         write_text(folder / NEXT_EXPERIMENT, commands)
     found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
     with beside_results(folder / "report.html"):

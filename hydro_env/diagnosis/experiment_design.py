@@ -23,9 +23,11 @@ load in N m.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +75,15 @@ class Operation:
     estimate: Estimate
     apart: Array
 
+    @classmethod
+    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
+        """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
+        differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
+        if not differences:
+            return None
+        joined = np.concatenate(differences, axis=1)
+        return cls(estimate, joined @ joined.T / joined.size)
+
 
 #: Sensors that may be added, by the names of `hydro-env hide --record`, and the signals that they show.
 SENSORS: dict[str, tuple[str, ...]] = {
@@ -114,12 +125,8 @@ def _piece(rng: np.random.Generator, size: float, max_load: float) -> Array:
     middle = rng.uniform(-0.7, 0.7) * rng.integers(2)
     swing = 0.05 * 20.0 ** rng.random() * rng.choice([-1.0, 1.0])
     cycles = 0.5 * 12.0 ** rng.random()
-    wave = (
-        triangle(cycles * x),
-        np.where((cycles * x) % 1.0 < 0.5, 1.0, -1.0),
-        np.sin(np.pi * 4.0 * cycles * x * x),
-        np.ones(PIECE),
-    )[kind]
+    steps, sweep = np.where((cycles * x) % 1.0 < 0.5, 1.0, -1.0), np.sin(np.pi * 4.0 * cycles * x * x)
+    wave = (triangle(cycles * x), steps, sweep, np.ones(PIECE))[kind]
     load = rng.uniform(-max_load, max_load) * rng.integers(2) * (x >= rng.uniform(0.0, 0.7) * rng.integers(2))
     return size * np.column_stack([np.clip(middle + swing * wave, -1.0, 1.0), load])
 
@@ -188,7 +195,7 @@ def _power(change: Array) -> Array:
     return np.repeat(blocks, rows, axis=-1)
 
 
-def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> float:
+def _scale(fit: Fit, models: Collection[Estimate], channel: int, signal: str) -> float:
     """The noise of a signal, or what the best of the models leaves of it where that is more; of one not logged the usual."""
     if (channel, signal) not in fit.noise:
         unit, size = UNITS[signal]
@@ -197,15 +204,6 @@ def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> f
     left = [fit.rms(p.simulated[channel], channel) for p in models]
     powers = [np.mean([v * v for (_, s), v in own.items() if s == signal]) for own in left]
     return max(fit.noise[channel, signal], float(np.sqrt(min(powers))))
-
-
-def operation_of(held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
-    """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
-    differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
-    if not differences:
-        return None
-    joined = np.concatenate(differences, axis=1)
-    return Operation(estimate, joined @ joined.T / joined.size)
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ class Trial:
         tables, allowed = self._simulate(experiments)
         owned = tables[len(tables) - len(self.operations) :]
         left = {c: self._left(c, table[c]) for c, table in zip(self.operations, owned, strict=True)}
-        return self._apart(tables, self._logged), left, allowed
+        return self._apart(tables, self.fit.rig.signals), left, allowed
 
     def with_sensors(self, experiment: Array) -> dict[str, list[Distances]]:
         """How far the models of each question are apart in an experiment (T, 2, 2) with each sensor that may be added and that
@@ -264,9 +262,8 @@ class Trial:
             scales = {c: self._scales(question.models.values(), c, signals) for c in shared}
             of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
             pairs = itertools.combinations(of, 2)
-            apart.append(
-                {(a, b): np.mean([_distances(of[a][c], of[b][c]) for c in shared], axis=0) for a, b in pairs}
-            )
+            found = {(a, b): [_distances(of[a][c], of[b][c]) for c in shared] for a, b in pairs}
+            apart.append({pair: np.mean(squares, axis=0) for pair, squares in found.items()})
         return apart
 
     def _simulate(
@@ -278,10 +275,8 @@ class Trial:
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
         own = DynamicRig(rig.model, parts, jobs=rig.jobs, progress=rig.progress, without=rig.without)
-        try:
+        with closing(own):
             results = own.predict([r for each in self._requests for r in each])
-        finally:
-            own.close()
         # The segments of a channel are all signals of the first experiment, then those of the next one.
         every = [{c: v.reshape(len(parts), len(UNITS), -1) for c, v in result.items()} for result in results]
         allowed, pressure = np.ones((len(parts), 2), bool), [*UNITS].index("pressure")
@@ -290,21 +285,20 @@ class Trial:
                 peak = np.abs(values[:, pressure]).max(axis=-1)
                 # A comparison with NaN is false: what diverges is not allowed either.
                 allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
-        places = [[*UNITS].index(signal) for signal in signals or self._logged]
+        places = [[*UNITS].index(signal) for signal in signals or rig.signals]
         each = ({c: v[:, places] for c, v in table.items()} for table in every)
         grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
         return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
-    def _scales(self, models: Iterable[Estimate], channel: int, signals: Sequence[str]) -> Array:
+    def _scales(self, models: Collection[Estimate], channel: int, signals: Sequence[str]) -> Array:
         """What cannot be known of each signal (signals, 1)."""
-        models = list(models)
         return np.array([[_scale(self.fit, models, channel, signal)] for signal in signals])
 
     def _left(self, channel: int, table: Array) -> Array:
         """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
         `table` (2 + draws, n, signals, T) of an operation."""
         operation = self.operations[channel]
-        seen = table / self._scales([operation.estimate], channel, self._logged)
+        seen = table / self._scales([operation.estimate], channel, self.fit.rig.signals)
         left = np.empty(table.shape[1])
         for n in range(left.size):
             whole, bare, *draws = seen[:, n]
@@ -312,11 +306,6 @@ class Trial:
             off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
-
-    @property
-    def _logged(self) -> Sequence[str]:
-        assert isinstance(self.fit.rig, DynamicRig)
-        return self.fit.rig.signals
 
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
@@ -337,10 +326,8 @@ def _max_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
     """The load pressure of a channel that no model may exceed, Pa."""
     if limits.pressure_limit is not None:
         return limits.pressure_limit
-    return min(
-        model.value(f"{e}.supply_pressure", channel)
-        for e in ("pressure_dependent_flow", "external_leakage", "case_drain", "anti_cavitation")
-    )
+    having = ("pressure_dependent_flow", "external_leakage", "case_drain", "anti_cavitation")
+    return min(model.value(f"{effect}.supply_pressure", channel) for effect in having)
 
 
 def _without_effects(estimate: Estimate) -> Estimate:
@@ -351,13 +338,11 @@ def _without_effects(estimate: Estimate) -> Estimate:
 
 def _part(experiment: Array, model: PlantModel, number: int) -> Part:
     """A log of an experiment in which every signal is asked for."""
-    rows = len(experiment)
-    empty = np.zeros((rows, 2))
-    log = RigLog(
-        np.arange(rows) * PERIOD, experiment[..., 0] * np.array(model.pair("u_rated")), empty, load=experiment[..., 1],
-        current=empty, pressure=empty, spool=empty, flow=empty, pressure_a=empty, pressure_b=empty, name=str(number),
-    )  # fmt: skip
-    return Part(str(number), log, np.ones(rows, bool))
+    names = ("speed", "current", "pressure", "spool", "flow", "pressure_a", "pressure_b")
+    asked: dict[str, Any] = dict.fromkeys(names, np.zeros(experiment.shape[:2]))
+    time, command = np.arange(len(experiment)) * PERIOD, experiment[..., 0] * np.array(model.pair("u_rated"))
+    log = RigLog(time, command, load=experiment[..., 1], name=str(number), **asked)
+    return Part(str(number), log, np.ones(len(experiment), bool))
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -392,7 +377,7 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 def _described(trial: Trial, experiment: Array) -> Design:
     answers, left, _ = trial.run(experiment[None])
 
-    def roots(each: Iterable[Distances]) -> dict[tuple[str, str], float]:
+    def roots(each: Sequence[Distances]) -> dict[tuple[str, str], float]:
         return {pair: float(np.sqrt(d[0])) for own in each for pair, d in own.items()}
 
     prediction = None

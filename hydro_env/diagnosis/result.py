@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +22,21 @@ SCHEMA = "hydro_env/diagnosis/1"
 class Diagnosis(State):
     """What was found, with the estimates, simulated signals and proofs behind it; `seconds` is the time it took."""
 
-    next_experiment: NextExperiment | None
-    warnings: list[str]
-    seconds: float
+    next_experiment: NextExperiment | None = None
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
 
     def report(self, path: str | Path) -> None:
         """Writes the report, an HTML page that needs no network. Needs the extra `report`."""
         from .report.page import report_page
 
-        write_text(Path(path), report_page(self, self.next_experiment, self.warnings, self.seconds))
+        write_text(Path(path), report_page(self))
 
     def summary(self) -> str:
         """The report in about twenty lines of text."""
         from .report.summary import summary
 
-        return summary(self, self.next_experiment, self.warnings)
+        return summary(self)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, of schema `SCHEMA`.

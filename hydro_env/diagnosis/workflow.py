@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -38,7 +38,6 @@ from .stages import (
     verdict,
     warnings,
 )
-from .state import State
 
 #: The settings unless others are given.
 DEFAULT = Settings()
@@ -102,17 +101,12 @@ def diagnose(
         fit, sealed, model, mapping, accept, steady=steady, jobs=jobs, settings=settings, without=without,
         count=lambda done: progress(doing, done),
     ) as logs:  # fmt: skip
-        state = find(logs, accept, say)
-        say(_TEXTS[next_experiment.run])
-        proposed = next_experiment.run(state)
-        say(_TEXTS[warnings.run])
-        said = warnings.run(state)
-    found = {each.name: getattr(state, each.name) for each in fields(state)}
-    return Diagnosis(**found, next_experiment=proposed, warnings=said, seconds=time.perf_counter() - begin)
+        found = _find(logs, accept, say)
+    return replace(found, seconds=time.perf_counter() - begin)
 
 
-def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> State:
-    """All stages that find something, in their order, each with what it needs of those before."""
+def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Diagnosis:
+    """All stages in their order, each with what it needs of those before; without the time that they took."""
 
     def do(stage: Callable[Given, Result], *needs: Given.args, **more: Given.kwargs) -> Result:
         say(_TEXTS[stage])
@@ -138,7 +132,8 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     proofs = do(validation.run, logs, models)
     found = do(verdict.confirm, selected, first, models, proofs)
     effects = do(naming.run, selected, found)
-    return State(
+    state = Diagnosis(
         **vars(found), logs=logs, findings=calibrated.findings, screening=screened, selection=selected, locations=locations,
         effects=effects, undetermined=list(uncertainty.undetermined(logs.rig)),
     )  # fmt: skip
+    return replace(state, next_experiment=do(next_experiment.run, state), warnings=do(warnings.run, state))

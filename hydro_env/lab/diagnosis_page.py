@@ -41,7 +41,7 @@ class DiagnosisPage:
             record = quiet_button("", self._toggle_recording)
             words = {True: "Record a log, from rest", False: "Stop recording"}
             record.bind_text_from(self._worker, "seen", lambda seen: words[seen.session.recorded is None])
-            Drop(LABEL, self._list, self._refuse)
+            Drop(LABEL, self._list, lambda text: self._problem.set_text(text.removeprefix("hydro-env lab: ")))
             self._files = ui.element("div").classes("w-full")
             ui.label("With no log held out, the last third of the last log is.").classes("lab-soft")
             self._model = ui.select(self._uploads.rigs(preset), value=preset, label="model to diagnose")
@@ -66,9 +66,6 @@ class DiagnosisPage:
     def _toggle_recording(self) -> None:
         idle = self._worker.seen.session.recorded is None
         self._worker.ask(Session.record if idle else Session.stop_recording)
-
-    def _refuse(self, text: str) -> None:
-        self._problem.text = text.removeprefix("hydro-env lab: ")
 
     def _list(self) -> None:
         """Lists the files again; a model that has come is the one to diagnose, and one that has gone no longer is."""

@@ -87,7 +87,7 @@ class SlidingNumber(Element, component="slider.js"):
 class Drop(Element, component="drop.js"):
     """A field for files, which go to `/upload`. `sent` is called when all are there, `refused` with a line for each other."""
 
-    def __init__(self, label: str, sent: Callable[[], None], refused: Callable[[str], None]) -> None:
+    def __init__(self, label: str, sent: Callable[[], object], refused: Callable[[str], object]) -> None:
         super().__init__()
         accepted = ",".join((*ENDINGS, ".gz", *YAML_ENDINGS))
         self._props |= {"label": label, "accept": accepted, "most": MAX_BYTES}

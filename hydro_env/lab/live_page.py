@@ -41,34 +41,29 @@ class LivePage:
 
     def page(self) -> None:
         """Builds the page for a browser."""
-        view = _View(self._folder)
-        with ui.element("main").classes("lab"), ui.element("div").style("grid-column: 1 / -1"):
-            with section("Live rig"):
-                view.state = ui.label().classes("lab-big").props('role=status aria-live="polite"')
-                view.fault = ui.label().classes("lab-bad").props("role=alert")
-                view.numbers = ui.label().classes("lab-soft")
-            with section("Last seconds"):
-                view.plots = Plots()
-        ui.timer(2.0 * PICTURE, view.look)
+        _View(self._folder)
 
 
 class _View:
     """What one browser sees."""
 
-    state: ui.label
-    fault: ui.label
-    numbers: ui.label
-    plots: Plots
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._log: Followed | None = None
+        with ui.element("main").classes("lab"), ui.element("div").style("grid-column: 1 / -1"):
+            with section("Live rig"):
+                self._state = ui.label().classes("lab-big").props('role=status aria-live="polite"')
+                self._fault = ui.label().classes("lab-bad").props("role=alert")
+                self._numbers = ui.label().classes("lab-soft")
+            with section("Last seconds"):
+                self._plots = Plots()
+        ui.timer(2.0 * PICTURE, self._look)
 
-    def look(self) -> None:
+    def _look(self) -> None:
         """Reads on, and shows it."""
         path = newest_log(self._folder)
         if path is None:
-            self.state.text = f"no log in {self._folder} yet"
+            self._state.text = f"no log in {self._folder} yet"
             return
         if self._log is None or self._log.path != path:
             self._log = Followed(path, tuple(contract_columns()), EVERY * SHOWN)
@@ -76,15 +71,15 @@ class _View:
         events, age = self._log.events, time.time() - path.stat().st_mtime
         state = str(events.get("state", "begins"))
         quiet = f"; no new row for {age:.0f} s" if age > QUIET else ""
-        self.state.text = f"{path.name}: {state}{quiet}"
-        self.fault.text = str(events.get("cause", ""))
+        self._state.text = f"{path.name}: {state}{quiet}"
+        self._fault.text = str(events.get("cause", ""))
         rows = self._log.rows
         if len(rows):
             newest = zip(contract_columns(), rows[-1], strict=True)
-            self.numbers.text = ", ".join(
+            self._numbers.text = ", ".join(
                 f"{name} {value:.4g}" for name, value in newest if not np.isnan(value)
             )
-            self.plots.draw(_past(rows))
+            self._plots.draw(_past(rows))
 
 
 def _past(rows: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -36,11 +36,6 @@ def section(title: str) -> Iterator[None]:
         yield
 
 
-def step_to(most: float) -> float:
-    """A step of 1, 10, 100, 0.1 ... with 50 to 500 of them to an end of a slider."""
-    return float(10.0 ** floor(log10(most / 50.0)))
-
-
 def _short(value: float) -> str:
     """Three digits."""
     return f"{float(f'{value:.3g}'):g}"
@@ -55,11 +50,6 @@ def _status(seen: Seen) -> str:
     return f"{session.time:.1f} s, {going}; loads {loads} N m{log}"
 
 
-def _about(seen: Seen) -> str:
-    entry = CONTROLLERS.get(seen.session.settings.controller)
-    return "" if entry is None else entry.summary
-
-
 class RigPage:
     """What one browser sees of the rig; all browsers see the same rig."""
 
@@ -67,7 +57,6 @@ class RigPage:
         self._worker, self._uploads = worker, uploads
         self._ask = worker.ask
         self._ports: list[tuple[Any, Any, list[Effect]]] = []
-        self._preset: Any = None
         self._shown_preset = worker.seen.session.settings.preset
         self._effects: list[tuple[Slider, SlidingNumber]] = []
         self._followed: list[Callable[[Seen], None]] = []
@@ -160,7 +149,8 @@ class RigPage:
         names = {chosen: chosen} | {name: name for name in CONTROLLERS}
         with section("Controller"):
             self._select(names, "controller", "controller", Session.choose_controller)
-            self._says(ui.label(), _about)
+            about = {name: each.summary for name, each in CONTROLLERS.items()}
+            self._says(ui.label(), lambda seen: about.get(seen.session.settings.controller, ""))
             self._says(ui.label().classes("lab-soft"), lambda seen: seen.session.note)
         names = {name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()}
         with section("Scenario"):
@@ -189,7 +179,7 @@ class RigPage:
 
     def _by_hand(self, label: str, most: float, now: float, unit: str, change: Callable[..., None]) -> None:
         """A slider from `-most` to `most` in round steps."""
-        step = step_to(most)
+        step = 10.0 ** floor(log10(most / 50.0))  # 1, 10, 100, 0.1 ...: 50 to 500 of them to an end
         ends = floor(most / step)
 
         def value(position: int) -> float:

@@ -174,13 +174,11 @@ class LiveRig:
         observe(_ROW, self._state, self.plant.memory, self._where, sensing, observation, true, reward, *ended)
         return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
 
-    def hold(
-        self, action: ArrayLike, load_Nm: ArrayLike, *, record: bool = False
-    ) -> dict[str, Floats] | None:
+    def hold(self, action: ArrayLike, load_Nm: ArrayLike, *, record: bool = False) -> dict[str, Floats]:
         """Holds commands (2,), fractions of the rated ones and clipped to [-1, 1], and loads (2,) over a control period.
 
-        With `record` returns the signals `RECORDED`, (SAMPLES, 2) each from the beginning of the period on, SI. ValueError if a
-        command is not finite.
+        With `record` returns the signals `RECORDED`, (SAMPLES, 2) each from the beginning of the period on, SI, else none.
+        ValueError if a command is not finite.
         """
         wanted = np.asarray(action, dtype=float).reshape(1, 2)
         if not np.isfinite(wanted).all():
@@ -189,14 +187,14 @@ class LiveRig:
         fraction = self._state["fraction"]
         fraction[:] = np.clip(wanted, -1.0, 1.0).astype(np.float32)
         command, load = fraction * self.rated, np.asarray(load_Nm, dtype=float).reshape(1, 2)
-        rows = None
+        rows: dict[str, Floats] = {}
         if record:
             ones = np.ones((SAMPLES, 1))
             rows = self.plant.run(ones * command, ones * load, PERIOD / SAMPLES, RECORDED)
         else:
             self.plant.hold(command, load, PERIOD)
         self.time = round(self.time + PERIOD, 9)
-        return None if rows is None else {name: values[:, 0] for name, values in rows.items()}
+        return {name: values[:, 0] for name, values in rows.items()}
 
     @property
     def noise(self) -> Floats:

@@ -185,7 +185,7 @@ class Session:
         self._remember(reading, setpoint)
         action = self._action(reading)
         rows = self._rig.hold(action, load, record=self._recording is not None)
-        if self._recording is not None and rows is not None:
+        if self._recording is not None:
             command = np.clip(action, -1.0, 1.0) * self._rig.rated
             self._recording.add(setpoint, command, load, self._rig.noise, rows)
             if self._recording.seconds >= MAX_SECONDS:

@@ -40,7 +40,7 @@ from pydantic import Field, model_validator
 
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS, USUAL_UNITS, quantity_of
 from hydro_env.reading import read_yaml
-from hydro_env.units import from_si, to_si, unit
+from hydro_env.units import from_si, to_si, unit, with_unit
 from hydro_env.validation import FileTable, Number, checked
 
 #: Largest command of a link file, per cent of the rated one.
@@ -85,9 +85,9 @@ class Input(FileTable):
         """The signal in SI; NaN for what is no number."""
         return float(to_si(self.sign * (self.scale * _number(raw) + self.offset), self.unit))
 
-    def in_unit(self, value: float) -> float:
-        """A value in SI in the unit of the file."""
-        return float(from_si(value, self.unit))
+    def shown(self, value: float) -> str:
+        """A value in SI as text, in the unit of the file."""
+        return with_unit(from_si(value, self.unit), self.unit)
 
     @property
     def said(self) -> str:
@@ -187,10 +187,6 @@ class Link(FileTable):
         return self
 
     @property
-    def channels(self) -> tuple[Channel, Channel]:
-        return self.channel_1, self.channel_2
-
-    @property
     def commands(self) -> tuple[Command, Command]:
         return self.channel_1.command, self.channel_2.command
 
@@ -198,7 +194,7 @@ class Link(FileTable):
     def inputs(self) -> dict[str, Input]:
         """What is read, by "setpoint", "speed_1", ..."""
         found = {signal: getattr(self, signal) for signal in RIG_SIGNALS}
-        for n, channel in enumerate(self.channels, 1):
+        for n, channel in enumerate((self.channel_1, self.channel_2), 1):
             found |= {
                 f"{signal}_{n}": getattr(channel, signal) for signal in CHANNEL_SIGNALS if signal != "command"
             }

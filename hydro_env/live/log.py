@@ -21,16 +21,6 @@ from hydro_env.units import from_si
 Floats = NDArray[np.float64]
 
 
-def _columns(keys: set[str]) -> dict[str, tuple[str, str]]:
-    """Columns of a log by key ("speed_1"), with their units."""
-    every = contract_columns().items()
-    named = {
-        signal if c is None else f"{signal}_{c + 1}": (column, symbol)
-        for column, (signal, c, symbol) in every
-    }
-    return {key: place for key, place in named.items() if key in keys}
-
-
 class Log:
     """Writes both files. `signals`: keys of what is logged beside the commands; `rated_V` (2,): what a command of 1 is."""
 
@@ -38,7 +28,12 @@ class Log:
         folder.mkdir(parents=True, exist_ok=True)
         number = next(n for n in count(1) if not (folder / f"log_{n}.csv").exists())
         self.path = folder / f"log_{number}.csv"
-        self._columns, self._rated = _columns({"command_1", "command_2", *signals}), np.array(rated_V)
+        self._rated, keys = np.array(rated_V), {"command_1", "command_2", *signals}
+        self._columns = {  # with their units, by key ("speed_1")
+            key: (column, symbol)
+            for column, (signal, c, symbol) in contract_columns().items()
+            if (key := signal if c is None else f"{signal}_{c + 1}") in keys
+        }
         self._rows: IO[str] = open(self.path, "x", encoding="utf-8", newline="\n", buffering=1)  # noqa: SIM115
         self._events: IO[str] = open(self.path.with_suffix(".jsonl"), "w", encoding="utf-8", buffering=1)  # noqa: SIM115
         self._rows.write(",".join(["time_s", *(name for name, _ in self._columns.values())]) + "\n")

@@ -23,7 +23,7 @@ from hydro_env.live.driver import Driver
 from hydro_env.live.link import Link, Sample
 from hydro_env.live.log import Log
 from hydro_env.live.supervisor import PATIENCE, State, Supervisor
-from hydro_env.live.transports import Transport, transport_of
+from hydro_env.live.transports import OpcUa, Transport, Udp
 
 #: Seconds after a fault that are still logged, and between two tries to reach a rig that is lost.
 LOGGED_AFTER, AGAIN = 5.0, 1.0
@@ -62,7 +62,7 @@ class Run:
 
     async def _run(self) -> str:
         self._listen()
-        transport = transport_of(self.link)
+        transport = Udp(self.link) if self.link.protocol == "udp" else OpcUa(self.link)
         try:
             await transport.open(PATIENCE)
         except OSError as problem:

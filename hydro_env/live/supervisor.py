@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from hydro_env.errors import InputError, shown
 from hydro_env.live.link import Link, Sample
-from hydro_env.units import with_unit
 
 Floats = NDArray[np.float64]
 
@@ -126,16 +125,12 @@ class Supervisor:
             if not math.isfinite(value):
                 self.fail(now, f"{key} ({source.name!r}) is absent or not finite")
             elif not low <= value <= high:
-                found = with_unit(source.in_unit(value), source.unit)
-                self.fail(now, f"{key} is {found}, its range is {source.said}")
+                self.fail(now, f"{key} is {source.shown(value)}, its range is {source.said}")
             last, since = self._repeated.get(key, (math.nan, now))
             if value != last or not self._driven(key):
                 since = now
             elif now - since > (most := self.link.frozen_after(key)):
-                self.fail(
-                    now,
-                    f"{key} is frozen: {with_unit(source.in_unit(value), source.unit)} for {most:g} s under command",
-                )
+                self.fail(now, f"{key} is frozen: {source.shown(value)} for {most:g} s under command")
             self._repeated[key] = value, since
 
     def _driven(self, key: str) -> bool:

@@ -10,7 +10,7 @@ import logging
 import socket
 from collections.abc import Coroutine, Mapping
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from hydro_env.errors import InputError
 from hydro_env.files import to_json
@@ -25,27 +25,6 @@ WAITING = 4
 LOOK = 0.2
 
 
-class Transport(Protocol):
-    """Numbers by the names of the link file."""
-
-    async def open(self, patience: float) -> None:
-        """Connects within a time in s."""
-
-    async def receive(self, timeout: float) -> Mapping[str, Any] | None:
-        """What the rig shows next; None if nothing came in time, s, or sooner. InputError for what cannot be read."""
-
-    async def send(self, numbers: Mapping[str, float], timeout: float) -> None:
-        """Writes; OSError where that takes longer (s)."""
-
-    async def close(self) -> None:
-        """Ends the connection."""
-
-
-def transport_of(link: Link) -> Transport:
-    """The transport that a link names. ModuleNotFoundError without asyncua, where it is needed."""
-    return Udp(link) if link.protocol == "udp" else OpcUa(link)
-
-
 class Udp(asyncio.DatagramProtocol):
     """Datagrams that hold a JSON object each. Those of other hosts than the rig's are ignored."""
 
@@ -56,6 +35,7 @@ class Udp(asyncio.DatagramProtocol):
         self._socket: asyncio.DatagramTransport | None = None
 
     async def open(self, patience: float) -> None:
+        """Connects within a time in s."""
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(*self._rig, family=socket.AF_INET, type=socket.SOCK_DGRAM)
@@ -72,6 +52,8 @@ class Udp(asyncio.DatagramProtocol):
             self._came.put_nowait(data)
 
     async def receive(self, timeout: float) -> Mapping[str, Any] | None:
+        """What the rig shows next, by the names of the link file; None if nothing came in time, s, or sooner. InputError for what
+        cannot be read."""
         try:
             # A command is sent again while a sample is late.
             data = await asyncio.wait_for(self._came.get(), min(timeout, 1.5 * self._cycle))
@@ -83,16 +65,21 @@ class Udp(asyncio.DatagramProtocol):
         return found
 
     async def send(self, numbers: Mapping[str, float], timeout: float) -> None:
+        """Writes numbers by the names of the link file; OSError where that takes longer (s)."""
         if self._socket is not None:
             self._socket.sendto(to_json(numbers).encode(), self._to)
 
     async def close(self) -> None:
+        """Ends the connection."""
         if self._socket is not None:
             self._socket.close()
 
 
 class OpcUa:
-    """All nodes are read, and all written, by one service call a cycle."""
+    """All nodes are read, and all written, by one service call a cycle. The methods are those of `Udp`.
+
+    ModuleNotFoundError without asyncua.
+    """
 
     def __init__(self, link: Link) -> None:
         import asyncua
@@ -166,6 +153,9 @@ class OpcUa:
         if self._client is not None:
             with suppress(Exception):
                 await _within(self._client.disconnect(), 1.0)
+
+
+Transport = Udp | OpcUa
 
 
 def _begun(work: Coroutine[Any, Any, T]) -> asyncio.Task[T]:

@@ -79,13 +79,8 @@ def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
     peak = from_si(peak, name)
     driven = log.setpoint is not None and np.ptp(np.nan_to_num(log.setpoint)) > 0.0
     for size in _SIZES:
-        if (
-            mapped.signal not in size.signals
-            or not size.low <= peak <= size.high
-            or size.kind not in ("", kind)
-        ):
-            continue
-        if size.read_as and given not in size.read_as:
+        fits = mapped.signal in size.signals and size.low <= peak <= size.high and size.kind in ("", kind)
+        if not fits or (size.read_as and given not in size.read_as):
             continue
         if size.moves and (mapped.channel is None or not _moves(log, mapped.channel)):
             continue

@@ -189,9 +189,8 @@ def _hdf_columns(file: Any) -> Opened:
     found: Opened = {}
 
     def visit(name: str, item: Any) -> None:
-        if (
-            not hasattr(item, "shape") or name.startswith("#") or not item.shape
-        ):  # a group, what MATLAB keeps, one number
+        # A group, what MATLAB keeps, one number.
+        if not hasattr(item, "shape") or name.startswith("#") or not item.shape:
             return
         dotted = name.replace("/", ".")
         if item.size == max(item.shape):
@@ -218,10 +217,9 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     # Bus logging would read databases that the file brings along.
     with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
         for each in file.groups:
-            record = each.channel_group.samples_byte_nr + getattr(
-                each.channel_group, "invalidation_bytes_nr", 0
-            )
-            check_size(each.channel_group.cycles_nr * max(record // 8, 1))
+            rows = each.channel_group
+            record = rows.samples_byte_nr + getattr(rows, "invalidation_bytes_nr", 0)
+            check_size(rows.cycles_nr * max(record // 8, 1))
         for group, number in file.masters_db.items():
             _check_channel(file.groups[group], number)
 

@@ -282,16 +282,18 @@ def _left_out(draft: Proposal, problem: str) -> bool:
     content = draft.content
     both = [key for key in _CHANNELS if key in content]
     optional = [(content, signal) for signal in RIG_SIGNALS]
-    optional += [
-        (content[key], signal) for key in both for signal in CHANNEL_SIGNALS if signal not in _NEEDED
-    ]
+    optional += [(content[key], signal) for key in both for signal in CHANNEL_SIGNALS]
 
     def spoils(source: dict[str, Any]) -> bool:
         columns = source.get("column"), source.get("minus", {}).get("column")
         return any(repr(column) in problem for column in columns if column is not None)
 
     for target, signal in optional:
-        if signal in target and (spoils(target[signal]) or f"{signal} of a " in problem):
+        if (
+            signal in target
+            and signal not in _NEEDED
+            and (spoils(target[signal]) or f"{signal} of a " in problem)
+        ):
             draft.why.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
             return True
     if spoils(content["time"]):

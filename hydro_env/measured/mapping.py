@@ -196,10 +196,7 @@ class ChannelMapping(FileTable):
 
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
-        for signal in CHANNEL_SIGNALS:
-            source = getattr(self, signal)
-            for part in source.parts if source else ():
-                _check_unit(signal, part.unit, self.actuator)
+        _check_units(self, CHANNEL_SIGNALS, self.actuator)
         if self.displacement is not None:
             _check_unit("displacement", self.displacement.unit, self.actuator)
         return self
@@ -217,10 +214,17 @@ def _check_unit(what: str, given: str, actuator: str) -> None:
     shared = quantity == "fraction" and what in ("command", "current", "spool")
     if not shared and quantity not in fitting(actuator):
         told = f"{given} is a unit of {quantity}; use {USUAL_UNITS[fitting(actuator)[0]]}"
-        hint = (
-            f", or say `actuator: {other}`" if quantity in fitting(other) and what != "displacement" else ""
-        )
+        elsewhere = what != "displacement" and quantity in fitting(other)
+        hint = f", or say `actuator: {other}`" if elsewhere else ""
         raise ValueError(f"{what} of a {actuator}: {told}{hint}")
+
+
+def _check_units(table: FileTable, signals: tuple[str, ...], actuator: str) -> None:
+    """ValueError for a unit of something else than what one of the signals of a table is measured in."""
+    for signal in signals:
+        source: Source | None = getattr(table, signal)
+        for part in source.parts if source else ():
+            _check_unit(signal, part.unit, actuator)
 
 
 class Mapping(FileTable):
@@ -243,10 +247,7 @@ class Mapping(FileTable):
         present = [channel for channel in self.channels if channel is not None]
         if not present:
             raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")
-        for signal in RIG_SIGNALS:
-            source = getattr(self, signal)
-            for part in source.parts if source else ():
-                _check_unit(signal, part.unit, present[0].actuator)
+        _check_units(self, RIG_SIGNALS, present[0].actuator)
         return self
 
     @property
@@ -269,9 +270,8 @@ class Mapping(FileTable):
     def columns(self) -> tuple[str, ...]:
         """Every column of the file that the mapping uses."""
         names = [self.time.column] if self.time.column else []
-        return tuple(
-            dict.fromkeys(names + [part.column for each in self.sources() for part in each.source.parts])
-        )
+        names += [part.column for each in self.sources() for part in each.source.parts]
+        return tuple(dict.fromkeys(names))
 
 
 def load_mapping(path: str | Path) -> Mapping:

@@ -138,10 +138,8 @@ def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> 
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context({**RC, **{f"{name}color": INK for name in _INKED}}):
-        if left is None:
-            made, places = Figure(figsize=(WIDTH, height * rows), layout="constrained"), None
-        else:
-            made, places = Figure(figsize=(WIDTH, height * rows)), _places(rows, height * rows, left)
+        made = Figure(figsize=(WIDTH, height * rows), layout="constrained" if left is None else None)
+        places = None if left is None else _places(rows, height * rows, left)
         axes = made.subplots(rows, sharex=True, squeeze=False, gridspec_kw=places)[:, 0]
     return made, list(axes)
 

@@ -17,7 +17,7 @@ from hydro_env.valve_bench.curve import Curve, Loop, loop_of
 from hydro_env.valve_bench.figures import Figures, Side, identify, sides_of
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
-from hydro_env.valve_bench.record import record, record_rates, record_rigs
+from hydro_env.valve_bench.record import record, record_rigs
 
 __all__ = [
     "Columns",
@@ -33,7 +33,6 @@ __all__ = [
     "most_alike",
     "read_curve",
     "record",
-    "record_rates",
     "record_rigs",
     "sides_of",
 ]

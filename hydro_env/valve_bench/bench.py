@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from hydro_env.valve_bench.curve import FLOW, Curve, loop_of
 from hydro_env.valve_bench.figures import Figures, identify
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
-from hydro_env.valve_bench.record import own_channels, record_rates
+from hydro_env.valve_bench.record import record
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,8 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
     tested, curves = [], []
     with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
         for text, valve in models:
-            how_swept = {"signal": how.signal, "name": valve.name}
-            sweeps = record_rates(valve.model, valve.channel, how.seconds, **how_swept)
+            swept = partial(record, valve.model, valve.channel, signal=how.signal, name=valve.name)
+            sweeps = [swept(seconds=seconds) for seconds in how.seconds]
             tested.append(_tested(text, sweeps, valve))
             bar.update()
         for n, text in enumerate(files):
@@ -134,10 +135,9 @@ def _split(text: str) -> tuple[str, int | None]:
 def _valves_of(text: str) -> list[Valve]:
     name, channel = _split(text)
     model = load_model(name)
-    channels = own_channels(model) if channel is None else (channel,)
-    if channel is None and len(channels) == 1:
-        return [Valve(model.name, model, channels[0])]
-    return [Valve(f"{model.name}:{c + 1}", model, c) for c in channels]
+    if channel is None and all(pair[0] == pair[1] for pair in model.values.values()):  # both are alike
+        return [Valve(model.name, model, 0)]
+    return [Valve(f"{model.name}:{c + 1}", model, c) for c in ((0, 1) if channel is None else (channel,))]
 
 
 def _tested(source: str, sweeps: list[Curve], model: Valve | None = None) -> Tested:

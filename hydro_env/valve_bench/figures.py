@@ -86,11 +86,7 @@ class Figures:
 
     def as_json(self) -> dict[str, Any]:
         """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
-        leakage: dict[str, Any] = {}
-        if self.leakage is not None:
-            leakage = {f"{name}_lpm": self.leakage[name] / LPM for name in ("maximum", "least")}
-            leakage["null_percent"] = self._percent(self.leakage["null"])
-        return {
+        found = {
             "name": self.name,
             "kind": self.kind,
             "rated_signal": {"value": self.rated, "unit": self.signal_unit},
@@ -110,8 +106,11 @@ class Figures:
             "threshold_percent": self.threshold_percent,
             "noise_lpm": self.noise / LPM,
             "findings": list(self.findings),
-            **({"leakage": leakage} if leakage else {}),
         }
+        if self.leakage is not None:
+            flows = {f"{name}_lpm": self.leakage[name] / LPM for name in ("maximum", "least")}
+            found["leakage"] = {**flows, "null_percent": self._percent(self.leakage["null"])}
+        return found
 
     def _percent(self, signal: float | None) -> float | None:
         return None if signal is None else 100.0 * signal / self.rated

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydro_env.pages import COLOURS, figure, legend
 from hydro_env.units import LPM
-from hydro_env.valve_bench.curve import Curve, Loop, Monotone, loop_of
+from hydro_env.valve_bench.curve import Curve, Loop, loop_of
 from hydro_env.valve_bench.figures import Figures
 from hydro_env.valve_bench.rates import RateCheck
 
@@ -28,15 +28,17 @@ def draw_curves(valves: Sequence[Sequence[Curve]], figures: Sequence[Figures]) -
     `valves` holds the sweeps of each valve. Several sweeps of one valve are drawn the fainter, the faster they are.
     """
     drawing, (axis,) = figure(1, height=4.0)
-    scale, label = _scale([sweeps[0] for sweeps in valves])
+    scale, along = _scale([sweeps[0] for sweeps in valves])
     edges: list[float] = []
     for n, (sweeps, found) in enumerate(zip(valves, figures, strict=True)):
         colour, style = COLOURS[n % len(COLOURS)], STYLES[n // len(COLOURS) % len(STYLES)]
         for place, curve in enumerate(sorted(sweeps, key=lambda curve: -curve.seconds)):
             loop = loop_of(curve)
+            timed = len(sweeps) > 1 and curve.time is not None
+            label = f"{curve.name}, {curve.seconds:.0f} s" if timed else curve.name
             for branch in loop.branches:
                 axis.plot(branch.signal * scale(curve), branch.flow / LPM, color=colour, linestyle=style,
-                          alpha=1.0 / (1.0 + place), label=_label(curve, branch, loop, len(sweeps)))  # fmt: skip
+                          alpha=1.0 / (1.0 + place), label=label if branch is loop.branches[0] else None)  # fmt: skip
             _arrows(axis, loop, scale(curve), colour)
         own = [
             sign * side.dead_zone * scale(sweeps[0])
@@ -47,17 +49,9 @@ def draw_curves(valves: Sequence[Sequence[Curve]], figures: Sequence[Figures]) -
         edges += own
     if edges:
         axis.plot([], [], "o", color="grey", label="flow begins (middle of both branches)", **DOT)
-    axis.set(xlabel=label, ylabel="flow, l/min")
+    axis.set(xlabel=along, ylabel="flow, l/min")
     axis.legend(loc="upper left", frameon=False)
     return drawing
-
-
-def _label(curve: Curve, branch: Monotone, loop: Loop, sweeps: int) -> str | None:
-    if branch is not loop.branches[0]:
-        return None
-    if sweeps == 1 or curve.time is None:
-        return curve.name
-    return f"{curve.name}, {curve.seconds:.0f} s"
 
 
 def _scale(curves: Sequence[Curve]) -> tuple[Callable[[Curve], float], str]:
@@ -75,41 +69,33 @@ def _arrows(axis: Any, loop: Loop, scale: float, colour: str) -> None:
             continue
         for share in (0.18, 0.82):
             n = int(np.clip(share * len(branch.signal), 3, len(branch.signal) - 4))
-            start, end = (n - 3 * way, n + 3 * way)
-            if not 0 <= end < len(branch.signal):
-                continue
+            tail, tip = (
+                (branch.signal[at] * scale, branch.flow[at] / LPM) for at in (n - 3 * way, n + 3 * way)
+            )
             axis.annotate(
-                "",
-                (branch.signal[end] * scale, branch.flow[end] / LPM),
-                (branch.signal[start] * scale, branch.flow[start] / LPM),
-                arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 9},
+                "", tip, tail, arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 9}
             )
 
 
 def draw_rates(names: Sequence[str], checks: Sequence[RateCheck]) -> Any:
     """Mean loop over sweep rate of each valve, with the fitted hysteresis + 2 lag rate."""
     drawing, (axis,) = figure(1, height=3.2)
+    shown: set[float] = set()
     for n, (name, check) in enumerate(zip(names, checks, strict=True)):
         colour = COLOURS[n % len(COLOURS)]
         rates = np.array([100.0 * sweep.rate / check.rated for sweep in check.sweeps])
+        shown |= {float(f"{rate:.2g}") for rate in rates}
         wide = np.array([100.0 * np.abs(sweep.blocks) / check.rated for sweep in check.sweeps])
         mean = np.abs(np.array([100.0 * sweep.width / check.rated for sweep in check.sweeps]))
         spread = np.abs(np.array([mean - wide.min(axis=1), wide.max(axis=1) - mean]))
         axis.errorbar(rates, mean, spread, fmt="o", color=colour, capsize=3, label=f"{name}: {check.verdict}")
         if check.hysteresis_percent is not None and check.lag_s is not None:
             fine = np.geomspace(rates.min(), rates.max(), 100)
-            axis.plot(
-                fine,
-                np.abs(check.hysteresis_percent[0] + 2.0 * check.lag_s[0] * fine),
-                color=colour,
-                linewidth=0.9,
-            )
+            loop = np.abs(check.hysteresis_percent[0] + 2.0 * check.lag_s[0] * fine)
+            axis.plot(fine, loop, color=colour, linewidth=0.9)
     axis.set(xlabel="sweep rate, % of the rated signal per second", ylabel="loop, % of the rated signal",
              xscale="log", ylim=(0.0, None))  # fmt: skip
-    shown = sorted(
-        {float(f"{100.0 * sweep.rate / check.rated:.2g}") for check in checks for sweep in check.sweeps}
-    )
-    axis.set_xticks(shown, [f"{rate:g}" for rate in shown])
+    axis.set_xticks(sorted(shown), [f"{rate:g}" for rate in sorted(shown)])
     axis.set_xticks([], minor=True)
     legend(axis)
     return drawing

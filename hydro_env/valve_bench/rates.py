@@ -94,9 +94,9 @@ class RateCheck:
 def sweeps_of(curve: Curve) -> list[Sweep]:
     """The sweeps in a curve: one, or several where its branches go at clearly different rates."""
     found = branches_of(curve)
-    rates = np.array([_rate(curve, branch) for branch in found])
     if curve.time is None:
         return [_sweep(curve, found, np.nan)]
+    rates = np.array([_rate(curve.signal, curve.time, branch) for branch in found])
     order = np.argsort(rates)
     faster = rates[order[1:]] > APART * rates[order[:-1]]
     groups = np.split(order, np.flatnonzero(faster) + 1)
@@ -108,17 +108,15 @@ def sweeps_of(curve: Curve) -> list[Sweep]:
     return sweeps
 
 
-def _rate(curve: Curve, branch: Branch) -> float:
-    """Of the signal per second; NaN where the time is not known."""
-    if curve.time is None:
-        return float("nan")
+def _rate(signal: Floats, time: Floats, branch: Branch) -> float:
+    """Of the signal per second."""
     # The middle half of the branch: at the turns a generator is slower, and a recording may wait there.
     quarter = (branch.stop - branch.start) // 4
     first, last = branch.start + quarter, branch.stop - 1 - quarter
     if last <= first:
         first, last = branch.start, branch.stop - 1
-    passed = float(curve.time[last] - curve.time[first])
-    return abs(float(curve.signal[last] - curve.signal[first])) / passed if passed > 0.0 else float("nan")
+    passed = float(time[last] - time[first])
+    return abs(float(signal[last] - signal[first])) / passed if passed > 0.0 else float("nan")
 
 
 def _sweep(curve: Curve, branches: list[Branch], rate: float) -> Sweep:

@@ -91,9 +91,8 @@ def _curve(table: Table, found: dict[str, str], columns: Columns, name: str) -> 
     curve = Curve(name, signal, flow, QUANTITIES[signal_unit.quantity], rated, findings=tuple(findings))
     branches = branches_of(curve)
     if "time" in found:
-        return replace(
-            curve, time=_times(values["time"], found["time"], columns.time_unit, table.lines[whole])
-        )
+        time = _times(values["time"], found["time"], columns.time_unit, table.lines[whole])
+        return replace(curve, time=time)
     for option, period in (("row", columns.row_period), ("sweep", columns.sweep_period)):
         if period is not None and not period > 0.0:
             raise InputError(f"--{option}-period is {period:g}, expected more than 0 s")

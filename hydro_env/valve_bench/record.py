@@ -8,8 +8,6 @@ stands for the constant valve pressure drop of the standard.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,12 +20,6 @@ from hydro_env.waveforms import triangle
 SIGNALS = {"current": "A", "command": "V"}
 #: Time between two recorded samples is this share of the sweep, and at least `MIN_PERIOD` s.
 SHARE, MIN_PERIOD = 1.0 / 10_000.0, 5e-4
-
-
-def own_channels(model: PlantModel) -> tuple[int, ...]:
-    """The channels (0, 1) of a model that hold different valves: one if both are alike."""
-    same = all(pair[0] == pair[1] for pair in model.values.values())
-    return (0,) if same else (0, 1)
 
 
 def record(
@@ -101,15 +93,3 @@ def _swept(
     answered = np.concatenate([[0.0], share[:-1]])
     time = np.asarray(np.arange(len(share)) * period, dtype=float)
     return time[quarter:], answered[quarter:], {name: values[quarter:] for name, values in out.items()}
-
-
-def record_rates(
-    model: PlantModel,
-    channel: int,
-    seconds: Sequence[float] = (5.0, 20.0, 80.0),
-    *,
-    signal: str = "current",
-    name: str | None = None,
-) -> list[Curve]:
-    """The same valve swept at several rates."""
-    return [record(model, channel, seconds=each, signal=signal, name=name) for each in seconds]

@@ -14,7 +14,6 @@ import typer.main
 from hydro_env.cli import app
 from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
-from hydro_env.diagnosis.models.base import view
 from hydro_env.diagnosis.report import summary
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
@@ -88,7 +87,7 @@ def _proofs(found: Diagnosis, **changes: Any) -> Proofs:
 
 
 def _page(found: Diagnosis) -> str:
-    return report_page(found, found.next_experiment, found.warnings, found.seconds)
+    return report_page(found)
 
 
 def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> None:
@@ -186,7 +185,7 @@ def _commands(page: str) -> list[list[str]]:
 
 def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
     """A steady model is for logs only; one with dynamics can be driven."""
-    rig = view(found.rig, has_hidden_states=True)
+    rig = found.rig.view(has_hidden_states=True)
     fit = dataclasses.replace(found.logs.fit, rig=rig)
     driven = dataclasses.replace(found, logs=dataclasses.replace(found.logs, fit=fit))
     steady, dynamic = _commands(_page(found)), _commands(_page(driven))

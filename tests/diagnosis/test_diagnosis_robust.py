@@ -97,9 +97,9 @@ def test_a_value_that_stays_as_given_is_not_at_the_edge_of_its_range() -> None:
     """The paper gives the least Stribeck speed that is possible; a healthy rig has it."""
     given = replace(base_unknown(PARAMETERS["vs"], 1e-4), channel=1)
     assert given.low == given.center
-    assert not about_bounds({1: Estimate(1, [given], np.array([1e-4]))})
+    assert not list(about_bounds({1: Estimate(1, [given], np.array([1e-4]))}))
     moved = replace(base_unknown(PARAMETERS["vs"], 5e-4), channel=1)
-    assert len(about_bounds({1: Estimate(1, [moved], np.array([moved.bounds[0]]))})) == 1
+    assert len(list(about_bounds({1: Estimate(1, [moved], np.array([moved.bounds[0]]))}))) == 1
 
 
 def test_a_file_of_a_large_motor_is_nothing_unusual(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
@@ -169,7 +169,7 @@ def _steps(seed: int, rows: int = 2000) -> np.ndarray:
 
 def _page(found: Diagnosis) -> str:
     """The report with single spaces."""
-    return " ".join(report_page(found, found.next_experiment, found.warnings, 0.0).split())
+    return " ".join(report_page(found).split())
 
 
 def test_logs_of_a_constant_command_determine_no_parameters(tmp_path: Path) -> None:

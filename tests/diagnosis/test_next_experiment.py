@@ -19,7 +19,6 @@ from hydro_env.diagnosis.experiment_design import (
     Question,
     Trial,
     best_design,
-    operation_of,
     random_design,
 )
 from hydro_env.diagnosis.input.parts import read_parts
@@ -172,9 +171,8 @@ def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_pat
     estimate.intervals = Intervals(*(np.zeros(len(names)) for _ in range(2)), draws)
     estimate.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
     make_practice([], rate=500.0, runs=("sealed",)).write(tmp_path)
-    operation = operation_of(
-        fit.on(DynamicRig(rig.model, read_parts([tmp_path / "sealed.csv"], None))), estimate, 0
-    )
+    held_out = fit.on(DynamicRig(rig.model, read_parts([tmp_path / "sealed.csv"], None)))
+    operation = Operation.of(held_out, estimate, 0)
     assert operation is not None and np.trace(operation.apart) > 1.0
     trial = Trial(fit, [], {0: operation})
     command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), max_load=0.6)

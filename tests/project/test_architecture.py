@@ -78,7 +78,7 @@ CROWDED = {
     "hydro_env.cli.diagnosis.diagnose": "an option each",
     "hydro_env.cli.diagnosis.hide": "an option each",
     "hydro_env.cli.controllers.tune": "an option each",
-    "hydro_env.cli.valve_test.valve_test": "an option each",
+    "hydro_env.cli.components.valve_test": "an option each",
 }
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hydro_env import cli
 from hydro_env.errors import InputError
 from hydro_env.experiments.valve_pairs import pair_model
-from hydro_env.plant import Plant, load_model
+from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 from hydro_env.valve_bench import (
     Columns,
@@ -30,7 +30,6 @@ from hydro_env.valve_bench import (
     most_alike,
     read_curve,
     record,
-    record_rates,
     record_rigs,
 )
 from hydro_env.valve_bench.bench import Sweeps, Valve, bench
@@ -279,8 +278,12 @@ def test_steps_of_a_display_are_noticed() -> None:
 
 
 # --- lag or hysteresis ----------------------------------------------------------------------------------------------------
+def at_three_rates(model: PlantModel, signal: str = "current") -> list[Curve]:
+    return [record(model, 0, seconds=seconds, signal=signal) for seconds in (5.0, 20.0, 80.0)]
+
+
 def test_loop_that_does_not_care_about_the_rate() -> None:
-    check = check_rates(record_rates(PAPER.with_values({"magnetic_hysteresis.amplitude": 0.3}), 0))
+    check = check_rates(at_three_rates(PAPER.with_values({"magnetic_hysteresis.amplitude": 0.3})))
     assert check.verdict == "hysteresis", check
     assert check.hysteresis_percent is not None
     low, high = check.hysteresis_percent[1:]
@@ -289,7 +292,7 @@ def test_loop_that_does_not_care_about_the_rate() -> None:
 
 def test_loop_that_is_lag() -> None:
     late = SMOOTH.with_values({"command_delay.delay": 0.03})
-    check = check_rates(record_rates(late, 0, signal="command"))
+    check = check_rates(at_three_rates(late, "command"))
     assert check.verdict == "lag", check
     # The dead time, L/R, and what the spool takes.
     assert check.lag_s is not None and check.lag_s[0] == pytest.approx(0.031, abs=0.0015)
@@ -299,7 +302,7 @@ def test_loop_that_is_lag() -> None:
 
 def test_loop_that_is_both() -> None:
     both = PAPER.with_values({"command_delay.delay": 0.03, "magnetic_hysteresis.amplitude": 0.1})
-    check = check_rates(record_rates(both, 0, signal="command"))
+    check = check_rates(at_three_rates(both, "command"))
     assert check.verdict == "both", check
     assert check.hysteresis_percent is not None and check.lag_s is not None
     assert check.hysteresis_percent[0] == pytest.approx(100.0 * 2.0 * 0.3 / (20.0 * 0.73), abs=0.2)

@@ -100,9 +100,7 @@ class Estimate:
 
     def in_all_directions(self) -> Estimate:
         """The same values, to go on with derivatives along every direction of `SCALED_TOGETHER`: for where nothing is missing."""
-        twin = self.at(self.q.copy())
-        twin.together = tuple(SCALED_TOGETHER)
-        return twin
+        return replace(self.at(self.q.copy()), together=tuple(SCALED_TOGETHER))
 
     def with_effect(self, of: Effect | str, start: dict[str, float], on: int | None = None) -> Estimate:
         """An effect more, one of the paper's rig by its name, at the values `start` {own name: value}; `on` a channel, where the

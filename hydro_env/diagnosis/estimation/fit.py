@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import pi, sqrt
+from math import nan, pi, sqrt
 
 import numpy as np
 
@@ -23,8 +23,8 @@ from .noise import WINDOW_S, effective_samples, noise_floor
 Noise = dict[tuple[int, str], float]
 #: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).
 MIN_SAMPLES = 8
-#: Windows of the noise for a motor that swings, as a share of the time of a swing, and what is much less noise than the usual
-#: ones show: coloured noise shows somewhat less in shorter windows, too.
+#: Windows of the noise for a motor that swings, as a share of the time of a swing, of which a parabola leaves a thousandth,
+#: and what is much less noise than the usual ones show, a quarter of its power: coloured noise shows somewhat less, too.
 SHARE_OF_SWING, MUCH_LESS = 0.1, 0.5
 #: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
 CLEARLY_ABOVE = 2.0
@@ -92,11 +92,8 @@ class Fit:
     # --- residuals --------------------------------------------------------------------------------------------------------
     def rms(self, simulated: Vector, channel: int) -> dict[tuple[int, str], float]:
         """RMS error by (log, signal) over the rows that count, SI."""
-        found = {}
-        for s in self.rig.segments[channel]:
-            error = s.left(simulated)
-            found[s.log, s.signal] = float(np.sqrt(np.mean(error * error))) if error.size else float("nan")
-        return found
+        errors = {(s.log, s.signal): s.left(simulated) for s in self.rig.segments[channel]}
+        return {key: float(np.sqrt(np.mean(e * e))) if e.size else nan for key, e in errors.items()}
 
     def levels(self, simulated: Vector, channel: int) -> dict[str, float]:
         """By signal: how far the errors are above the noise, as the mean over blocks of log(power), 0 at the noise.
@@ -119,11 +116,8 @@ class Fit:
 
     def at_noise(self, estimate: Estimate, within: float = WITHIN_NOISE) -> bool:
         """Whether no signal of any log is left with more than `within` times its noise."""
-        return all(
-            value < within * self.noise[channel, signal]
-            for channel in self.channels_of(estimate)
-            for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
-        )
+        left = {c: self.rms(estimate.simulated[c], c) for c in self.channels_of(estimate)}
+        return all(v < within * self.noise[c, s] for c, own in left.items() for (_, s), v in own.items())
 
     # --- criteria ---------------------------------------------------------------------------------------------------------
     def could_pay(self, estimate: Estimate, channel: int) -> bool:
@@ -143,10 +137,8 @@ class Fit:
 
     def unexplained(self, estimate: Estimate, channel: int) -> bool:
         """Whether a residual stays that is clearly above the noise, in a signal of a log."""
-        left = self.rms(estimate.simulated[channel], channel)
-        return any(
-            v > self.settings.unexplained * self.noise[channel, signal] for (_, signal), v in left.items()
-        )
+        factor, left = self.settings.unexplained, self.rms(estimate.simulated[channel], channel)
+        return any(v > factor * self.noise[channel, signal] for (_, signal), v in left.items())
 
     def mostly_explained(self, before: Estimate, after: Estimate, channel: int) -> bool:
         """Whether most of the residual that `before` leaves on a channel is explained by `after`, by level or by power.

@@ -22,7 +22,8 @@ from .unknowns import scaled
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
 #: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
 SETTLE_ITERATIONS = 4 * len(DIFFERENCE_STEPS)
-#: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
+#: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short. A part is between a
+#: tenth and a half of the one before (Dennis and Schnabel, Numerical Methods for Unconstrained Optimization, 1983, section 6.3).
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Longest step in any coordinate of q: three standard deviations of its prior.
 MAX_STEP = 3.0
@@ -90,9 +91,8 @@ def minimum_in_box(matrix: np.ndarray, side: np.ndarray, low: np.ndarray, high: 
     size = 1.0 / np.sqrt(np.diag(matrix))  # unknowns in units of their own, so that one tolerance serves all
     upper = cholesky(matrix * np.outer(size, size))
     right = solve_triangular(upper, side * size, trans="T")
-    found = lsq_linear(
-        upper, right, (low / size, high / size), method="bvls", tol=1e-12, max_iter=10 * len(side)
-    )
+    bounds = low / size, high / size
+    found = lsq_linear(upper, right, bounds, method="bvls", tol=1e-12, max_iter=10 * len(side))
     return np.asarray(found.x * size)
 
 
@@ -140,10 +140,9 @@ def differentiate(
 def _columns_of(estimate: Estimate, channel: int, keep: bool) -> Vector:
     """Room for the derivatives of a channel, with those that are known if these are to be kept. They lie in memory column by
     column, as they come."""
-    shape, known = (estimate.simulated[channel].size, len(estimate.unknowns)), estimate.columns.get(channel)
-    if keep and known is not None and known.shape == shape:
-        return known.copy(order="K")
-    return np.zeros(shape, order="F")
+    if keep and channel in estimate.columns:
+        return estimate.columns[channel].copy(order="K")
+    return np.zeros((estimate.simulated[channel].size, len(estimate.unknowns)), order="F")
 
 
 def _by_single_unknowns(estimate: Estimate, moves: Sequence[tuple[int, Vector]]) -> None:

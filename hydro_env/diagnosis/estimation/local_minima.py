@@ -11,13 +11,13 @@ logs (`grow_horizon`), and competing candidates from every size to their first h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..models.base import RigModel, Segment, Segments, effect_in, view
+from ..models.base import RigModel, Segment, Segments, effect_in
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import SETTLE_ITERATIONS, solve
@@ -51,7 +51,7 @@ def early_window_of(rig: RigModel, share: float) -> RigModel:
     """The model with only this share of each log, from its beginning, of which it also simulates no more."""
     rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
     parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
-    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
+    return rig.view(parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
 
 
 def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
@@ -59,11 +59,10 @@ def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
     place, found = 0, Segments()
     for s in segments:
         n = int(np.searchsorted(s.rows, rows[s.log]))
-        late = None if s.late is None else s.late[:n]
-        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
-        cut.place = slice(place, place + n)
+        own = {name: getattr(s, name) for name in ("measured", "rows", "inside", "late")}
+        cut = {name: values[:n] for name, values in own.items() if values is not None}
+        found.append(replace(s, **cut, place=slice(place, place + n)))
         place += n
-        found.append(cut)
     return found
 
 
@@ -107,21 +106,16 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
     return min(starts, key=lambda p: p.cost)
 
 
-def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
+def _elsewhere(rig: RigModel, estimate: Estimate) -> Iterator[Estimate]:
     """The estimate with each of its effects at every size and shape that is worth a first simulation: from the wrong side of a
     turn no small step leads to the right one."""
-    found = []
     for effect in estimate.effects():
         if estimate.channel is None or CATALOGUE[effect].family:
             continue
-        own = {u.parameter: j for j, u in enumerate(estimate.unknowns) if u.effect == effect}
         for values in effect_starts(effect_in(rig, effect, estimate.channel), math.inf, whole=True):
-            q = estimate.q.copy()
-            for name, value in values.items():
-                if name in own:
-                    q[own[name]] = estimate.unknowns[own[name]].q(value)
-            found.append(estimate.at(np.clip(q, *estimate.bounds)))
-    return found
+            both = zip(estimate.unknowns, estimate.q, strict=True)
+            q = [u.q(values[u.parameter]) if u.effect == effect else now for u, now in both]
+            yield estimate.at(np.clip(q, *estimate.bounds))
 
 
 # --- competing candidates -----------------------------------------------------------------------------------------------
@@ -143,10 +137,8 @@ def best_on_early_window(
         fields = [[p.at(p.q.copy()) for p in field] for field in fields]
         solve(beginning, [p for field in fields for p in field], iterations)
         fields = [_within_reach(fit, best_of_each(field, kept)) for field in fields]
-    return [
-        [p.at(p.q.copy()) for p in best_of_each(field) if p.label][: fit.settings.max_effects]
-        for field in fields
-    ]
+    best = ([p for p in best_of_each(field) if p.label] for field in fields)
+    return [[p.at(p.q.copy()) for p in own[: fit.settings.max_effects]] for own in best]
 
 
 def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
@@ -218,6 +210,5 @@ def _with_other_friction(estimate: Estimate, here: bool, rng: np.random.Generato
     for j, u in enumerate(estimate.unknowns):
         if u.name in DRAWN:
             q[j] = (q[j] if here else 0.0) + DRAWN[u.name] / u.scale * rng.standard_normal()
-    twin = estimate.at(np.clip(q, *estimate.bounds))
-    twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
-    return twin
+    # Derivatives of before are good enough for the first step.
+    return replace(estimate.at(np.clip(q, *estimate.bounds)), columns=dict(estimate.columns))

@@ -20,11 +20,10 @@ def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_
     """
     width = max(8, round(window_s / period))
     good = inside & np.isfinite(residual)
-    starts = range(0, residual.size - width + 1, width)
     t = np.linspace(-1.0, 1.0, width)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(width), t, t * t]))
     found = []
-    for start in starts:
+    for start in range(0, residual.size - width + 1, width):
         here = good[start : start + width]
         if here.mean() >= FULL:
             # Rows that are missing are left out of the parabola, too.

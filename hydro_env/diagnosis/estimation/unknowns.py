@@ -7,6 +7,7 @@ varies by factors).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,18 +39,10 @@ SCALED_TOGETHER: dict[str, dict[str, float]] = {
 }
 
 
-def bases_of(effect: str) -> set[str]:
-    """The base parameters that an effect takes from."""
-    return {p.part_of for p in CATALOGUE[effect].parameters if p.part_of}
-
-
 def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -> dict[str, float]:
     """The base parameters in `values` that an effect with the values `start` {own name: value} takes from, reduced by that."""
-    return {
-        p.part_of: max(values[p.part_of] - start[p.name], 0.25 * values[p.part_of])
-        for p in CATALOGUE[effect].parameters
-        if p.part_of in values
-    }
+    taken = {p.part_of: start[p.name] for p in CATALOGUE[effect].parameters if p.part_of in values}
+    return {name: max(values[name] - size, 0.25 * values[name]) for name, size in taken.items()}
 
 
 @dataclass(frozen=True)
@@ -173,9 +166,8 @@ def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[d
     if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(p.role == "size" for p in sizes):
         # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
         rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
-    variants: list[dict[str, float]] = [{}]
-    for p in shapes:
-        variants = [{**v, p.name: value} for v in variants for value in _shapes(p, seconds)]
+    values = itertools.product(*(_shapes(p, seconds) for p in shapes))
+    variants = [{p.name: value for p, value in zip(shapes, own, strict=True)} for own in values]
     if len(variants) > 3 and not whole:
         rows = rows[1:2]
     rows = [{**row, **shape} for row in rows for shape in variants]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +35,15 @@ def read_logs(
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
-    _check_duration(parts, "fit")
-    if proofs:
-        _check_duration(proofs, "held-out")
+    for what, own in (("fit", parts), ("held-out", proofs)):
+        lasts = sum(part.seconds for part in own)
+        if own and lasts < (1.0 - 1e-6) * SHORTEST_S:
+            logs = ", ".join(part.label for part in own)
+            raise InputError(
+                f"{logs}: the {what} logs last {lasts:.2g} s in all, at least {SHORTEST_S:g} s are needed: "
+                f"{SHORTEST_S / STRETCH_S:.0f} stretches of {STRETCH_S:g} s, each longer than the rig's memory, are the fewest "
+                "that give a 95 % interval; record longer, 10 s or more is good"
+            )
     return parts, proofs
 
 
@@ -46,18 +53,13 @@ def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], li
     if len(first) < 2 or any(p.log.channels != first for p in parts):
         return parts, proofs
     peak = [max(float(np.nanmax(np.abs(p.log.speed[:, c]), initial=0.0)) for p in parts) for c in first]
-    idle = [
-        c
-        for c in first
-        if not any(p.log.command_V[:, c].any() for p in parts)
-        and all(np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) < STANDS_STILL * peak[1 - c] for p in parts)
-    ]
+    undriven = [c for c in first if not any(p.log.command_V[:, c].any() for p in parts)]
+    rms = {c: [np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) for p in parts] for c in undriven}
+    idle = [c for c, speeds in rms.items() if all(v < STANDS_STILL * peak[1 - c] for v in speeds)]
     if len(idle) != 1:
         return parts, proofs
     text = f"channel {idle[0] + 1} was neither driven nor did it move: only the other one is diagnosed"
-    signals = ("command_V", "speed")
-    parts, proofs = ([_without(p, signals, idle[0]) for p in each] for each in (parts, proofs))
-    return _noted(parts, text), proofs
+    return _left_out(parts, proofs, ("command_V", "speed"), idle[0], text)
 
 
 def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
@@ -66,27 +68,25 @@ def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Pa
         for c in parts[0].log.channels:
             having = [part.log.has(signal, c) for part in parts]
             if any(having) and not all(having):
-                without = parts[having.index(False)].label
-                text = (
-                    f"{signal} of channel {c + 1} is not in every fit log (not in {without}): left out of all"
-                )
-                parts, proofs = ([_without(p, (signal,), c) for p in each] for each in (parts, proofs))
-                parts = _noted(parts, text)
+                what, without = f"{signal} of channel {c + 1}", parts[having.index(False)].label
+                text = f"{what} is not in every fit log (not in {without}): left out of all"
+                parts, proofs = _left_out(parts, proofs, (signal,), c, text)
     return parts, proofs
 
 
-def _noted(parts: list[Part], text: str) -> list[Part]:
-    return [replace(parts[0], note="; ".join(t for t in (parts[0].note, text) if t)), *parts[1:]]
+def _left_out(
+    parts: list[Part], proofs: list[Part], signals: Sequence[str], channel: int, why: str
+) -> tuple[list[Part], list[Part]]:
+    """The logs with these fields empty on a channel, and a note that says so."""
+    parts, proofs = ([_without(p, signals, channel) for p in each] for each in (parts, proofs))
+    return [replace(parts[0], note="; ".join(filter(None, (parts[0].note, why)))), *parts[1:]], proofs
 
 
 def _without(part: Part, signals: Sequence[str], channel: int) -> Part:
     """The part with these fields of its log empty (NaN) on a channel."""
-    changes = {}
-    for signal in signals:
-        values = getattr(part.log, signal)
-        if values is not None:
-            changes[signal] = values.copy()
-            changes[signal][:, channel] = np.nan
+    own = {signal: getattr(part.log, signal) for signal in signals if part.log.has(signal)}
+    here = np.arange(2) == channel
+    changes: dict[str, Any] = {signal: np.where(here, np.nan, values) for signal, values in own.items()}
     return replace(part, log=replace(part.log, **changes))
 
 
@@ -105,15 +105,3 @@ def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
                 f"{parts[0].label}: the command of channel {c + 1} is zero throughout{moves}; "
                 "record the signal that drives the valve"
             )
-
-
-def _check_duration(parts: Sequence[Part], what: str) -> None:
-    """InputError if logs, `what` they are ("fit", "held-out"), are too short in all."""
-    lasts = sum(part.seconds for part in parts)
-    if lasts < (1.0 - 1e-6) * SHORTEST_S:
-        logs = ", ".join(part.label for part in parts)
-        raise InputError(
-            f"{logs}: the {what} logs last {lasts:.2g} s in all, at least {SHORTEST_S:g} s are needed: "
-            f"{SHORTEST_S / STRETCH_S:.0f} stretches of {STRETCH_S:g} s, each longer than the rig's memory, are the fewest that "
-            "give a 95 % interval; record longer, 10 s or more is good"
-        )

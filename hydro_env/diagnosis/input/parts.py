@@ -46,6 +46,12 @@ class Part:
     def finer(self) -> int:
         return 1 if self.held is None else self.held.shape[1] // len(self.log)
 
+    @property
+    def driving(self) -> tuple[np.ndarray, np.ndarray]:
+        """Commands and loads (n, 2) as they were recorded, zero where no load was."""
+        log = self.log if self.uneven is None else self.uneven
+        return log.command_V, np.zeros(log.command_V.shape) if log.load is None else log.load
+
     def first(self, rows: int) -> Part:
         """The part with its first `rows` rows only."""
         held = None if self.held is None else self.held[:, : rows * self.finer]
@@ -87,10 +93,9 @@ def _named(log: RigLog) -> RigLog:
     """A loaded log with a name and a hash, by which rows that are fitted and held out are distinguished."""
     if log.sha256:
         return log
-    content = hashlib.sha256()
-    for values in (log.time_s, log.command_V, log.speed):
-        content.update(np.ascontiguousarray(values).tobytes())
-    return replace(log, name=log.name or f"log {content.hexdigest()[:8]}", sha256=content.hexdigest())
+    content = b"".join(values.tobytes() for values in (log.time_s, log.command_V, log.speed))
+    sha256 = hashlib.sha256(content).hexdigest()
+    return replace(log, name=log.name or f"log {sha256[:8]}", sha256=sha256)
 
 
 def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Part:
@@ -100,11 +105,10 @@ def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Par
     again, finer = recorded.resample(lead, even), max(1, round(part.log.period / FINE_S))
     first = round((part.log.time_s[0] - again.time_s[0]) / part.log.period)
     rows, fine = slice(first, first + len(part.log)), slice(first * finer, (first + len(part.log)) * finer)
-    both = recorded.command_V, np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
-    held = np.array([recorded.held(np.nan_to_num(values), lead, even, finer)[fine] for values in both])
+    held = [recorded.held(np.nan_to_num(values), lead, even, finer)[fine] for values in part.driving]
     load, late = (None if values is None else values[rows] for values in (again.load, again.late))
     log = replace(part.log, command_V=again.command_V[rows], load=load, late=late)
-    return replace(part, held=held, log=log)
+    return replace(part, held=np.array(held), log=log)
 
 
 def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
@@ -157,9 +161,8 @@ def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: 
 
     Nobody knows what the rig did while the clock jumped: only the stretch without a jump that holds all windows is given.
     """
-    for finding in log.findings:
-        if not finding.sure or finding.code in accept:
-            continue
+    wrong = [finding for finding in log.findings if finding.sure and finding.code not in accept]
+    for finding in wrong:
         if finding.code == "clock_jump":
             steps = np.diff(log.time_s)
             jumps = np.flatnonzero(steps > jump_size(log.time_s))

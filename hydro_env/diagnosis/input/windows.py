@@ -26,10 +26,8 @@ MAX_MOVES = 20.0
 def rest_starts(log: RigLog) -> np.ndarray:
     """Rows (m,) before which the whole rig was quiet: no command and no speed for QUIET_S."""
     quiet = np.ones(len(log), bool)
-    speed = log.get("speed")
-    assert speed is not None
     for c in log.channels:
-        for values, share in ((log.command_V[:, c], 0.005), (speed[:, c], 0.02)):
+        for values, share in ((log.command_V[:, c], 0.005), (log.speed[:, c], 0.02)):
             known = np.nan_to_num(values)
             quiet &= np.abs(known) <= share * max(float(np.quantile(np.abs(known), 0.999)), 1e-12)
     need = max(2, round(QUIET_S / log.period))

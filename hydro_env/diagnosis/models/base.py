@@ -11,7 +11,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite, isnan
-from typing import Any, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
@@ -37,6 +37,8 @@ UNITS = {
 }
 #: The SI units of these.
 SI = {"rpm": "rad/s", "A": "A", "bar": "Pa", "mm": "m", "lpm": "m3/s"}
+#: Called with the number of simulations done, where wanted.
+Progress = Callable[[int], None] | None
 #: Signals of which only changes are compared: the level of the mean line pressure is that of the supply and of two sensors.
 LEVEL_FREE = ("mean_line_pressure",)
 
@@ -97,19 +99,16 @@ class Segment:
 
     def taken(self, simulated: np.ndarray, every: int = 1) -> np.ndarray:
         """The samples (n,) at the times of the rows, of a simulation that has one in `every` rows; if rows are late, of one
-        with `finer` points a row."""
+        with `finer` points a row. Moved to the level of the measurement if the level of this signal means nothing."""
         if self.late is None:
-            return simulated[:: self.step // every][: self.rows.size]
-        # From the points before: the command of a row acts only after its measurement.
-        place = self.finer * (self.rows + self.late)
-        point = np.clip(np.floor(place + 1e-6).astype(int), 1, simulated.size - 1)
-        return simulated[point] + (place - point) * (simulated[point] - simulated[point - 1])
-
-    def levelled(self, simulated: np.ndarray) -> np.ndarray:
-        """The simulation (n,), moved to the level of the measurement if the level of this signal means nothing."""
-        if self.signal not in LEVEL_FREE or not self.used.any():
-            return simulated
-        return simulated + np.mean(self.measured[self.used] - simulated[self.used])
+            found = simulated[:: self.step // every][: self.rows.size]
+        else:
+            # From the points before: the command of a row acts only after its measurement.
+            place = self.finer * (self.rows + self.late)
+            point = np.clip(np.floor(place + 1e-6).astype(int), 1, simulated.size - 1)
+            found = simulated[point] + (place - point) * (simulated[point] - simulated[point - 1])
+        level_free = self.signal in LEVEL_FREE and self.used.any()
+        return found + np.mean(self.measured[self.used] - found[self.used]) if level_free else found
 
     @cached_property
     def blocks(self) -> tuple[np.ndarray, np.ndarray]:
@@ -135,16 +134,12 @@ class Joined:
     """The samples of all segments of a channel, one behind the other: `filled` and `used` (n,), the first row of every block of
     `BLOCK_S` and how many rows of it count (b,), and by block the number of its signal in `signals`."""
 
+    signals: tuple[str, ...]
     filled: np.ndarray
     used: np.ndarray
     first: np.ndarray
     count: np.ndarray
     signal: np.ndarray
-    signals: tuple[str, ...]
-
-    def error(self, simulated: np.ndarray) -> np.ndarray:
-        """Measured less simulated (n,), 0 where a row does not count."""
-        return np.where(self.used, self.filled - simulated, 0.0)
 
 
 class Segments(list[Segment]):
@@ -153,26 +148,21 @@ class Segments(list[Segment]):
     @cached_property
     def by_signal(self) -> dict[str, list[Segment]]:
         """The segments of each signal, in the order of the logs."""
-        return {
-            signal: [s for s in self if s.signal == signal]
-            for signal in dict.fromkeys(s.signal for s in self)
-        }
+        signals = dict.fromkeys(s.signal for s in self)
+        return {signal: [s for s in self if s.signal == signal] for signal in signals}
 
     @cached_property
     def joined(self) -> Joined:
         signals = tuple(self.by_signal)
-        return Joined(
-            np.concatenate([s.filled for s in self]),
-            np.concatenate([s.used for s in self]),
-            np.concatenate([s.place.start + s.blocks[0] for s in self]),
-            np.concatenate([s.blocks[1] for s in self]),
-            np.concatenate([np.full(s.blocks[0].size, signals.index(s.signal)) for s in self]),
-            signals,
-        )
+        samples = [s.filled for s in self], [s.used for s in self]
+        blocks = [s.place.start + s.blocks[0] for s in self], [s.blocks[1] for s in self]
+        numbers = [np.full(s.blocks[0].size, signals.index(s.signal)) for s in self]
+        return Joined(signals, *map(np.concatenate, (*samples, *blocks, numbers)))
 
 
 class RigModel:
-    """A model of the rig with the logs it is fitted to: `parts` of logs, of which it predicts those `signals` that are logged.
+    """A model of the rig with the logs it is fitted to: `parts` of logs, of which it predicts the `signals`, those of the ones
+    given that are logged.
 
     `progress` is called with the number of rig simulations done, `without` are effects that are no candidates.
 
@@ -190,12 +180,14 @@ class RigModel:
     own: Mapping[str, Parameter] = {}
 
     def __init__(
-        self, model: PlantModel, parts: list[Part], signals: Sequence[str], every_row: bool,
-        progress: Callable[[int], None] | None, without: frozenset[str],
+        self, model: PlantModel, parts: list[Part], signals: Sequence[str], every_row: bool, progress: Progress,
+        without: frozenset[str],
     ) -> None:  # fmt: skip
         self.model, self.parts, self.progress, self.without = model, parts, progress, without
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
         self.segments = {c: Segments(self._measured(c, signals, every_row)) for c in self.channels}
+        logged = {s.signal for segments in self.segments.values() for s in segments}
+        self.signals = tuple(s for s in signals if s in logged)
 
     def _measured(self, channel: int, signals: Sequence[str], every_row: bool) -> Iterator[Segment]:
         """The measurements of a channel, which lie one behind the other in a vector."""
@@ -206,11 +198,11 @@ class RigModel:
             rows, period = np.arange(0, len(log), step), log.period * step
             late = None if log.late is None else log.late[rows] / log.period
             for signal in (s for s in signals if log.has(s, channel)):
-                values = log.get(signal)
-                assert values is not None
-                own, where = values[rows, channel], slice(place, place + rows.size)
-                inside = part.inside[rows]
-                yield Segment(number, channel, signal, own, rows, inside, period, where, late, part.finer)
+                measured, inside = getattr(log, signal)[rows, channel], part.inside[rows]
+                where = slice(place, place + rows.size)
+                yield Segment(
+                    number, channel, signal, measured, rows, inside, period, where, late, part.finer
+                )
                 place = where.stop
 
     def base(self, channel: int) -> list[str]:
@@ -246,19 +238,14 @@ class RigModel:
         """The same model with the simulated speed of these channels drawn to the measured one; none: simulated freely."""
         return self
 
+    def view(self, **changes: Any) -> Self:
+        """The same model with other values of some attributes; what it holds open is shared."""
+        twin = copy(self)
+        vars(twin).update(changes)
+        return twin
+
     def close(self) -> None:
         """Ends what the model holds open."""
-
-
-Rig = TypeVar("Rig", bound=RigModel)
-
-
-def view(rig: Rig, **changes: Any) -> Rig:
-    """The same model with other values of some attributes; what it holds open is shared."""
-    twin = copy(rig)
-    for name, value in changes.items():
-        setattr(twin, name, value)
-    return twin
 
 
 def given_effects(rig: RigModel, channel: int) -> list[Effect]:
@@ -280,8 +267,7 @@ def given_repeats(rig: RigModel, channel: int) -> dict[str, str | float]:
     """What the corrections of form that the model as given has on a channel repeat, see `form_corrections.follows`."""
     found: dict[str, str | float] = {}
     for effect in given_effects(rig, channel):
-        corrected = next((e for e in effect.corrects if rig.has(e, channel)), None)
-        if corrected is not None:
+        if corrected := next((e for e in effect.corrects if rig.has(e, channel)), None):
             found |= follows(effect.name, corrected)
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -16,7 +16,7 @@ from ...plant import CATALOGUE, PARAMETERS, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ...units import RPM
 from ..input.parts import Part
-from .base import UNITS, Request, RigModel, Samples, given_parameters, view
+from .base import UNITS, Progress, Request, RigModel, Samples, given_parameters
 
 #: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
 #: With more in the fit its costs become rough: it takes more simulations than it saves time for.
@@ -25,9 +25,9 @@ TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
-#: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks
-#: (docs/evidence/notes.md).
-FOLLOWING_BLOCK = 4 * BLOCK
+#: Rigs of a batch where Python takes longer than the kernel: after each row of a speed that follows the measured one, and around
+#: logs of fewer rows than this, such as early windows (docs/evidence/notes.md).
+WIDE_BATCH, FEW_ROWS = 4 * BLOCK, 1000
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about: those of eight lanes of 12 s at 1 kHz take 3 MB, and one request for all
@@ -39,6 +39,10 @@ BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "F
 _RECORDED = {name: name for name in UNITS} | {"speed": "measured_speed"}
 #: The number of a request, and a channel.
 Side = tuple[int, int]
+#: The number of a log, its rows, and the channel that each side plays.
+Lane = tuple[int, int, int, int]
+#: Values by name of a parameter or signal.
+Values = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -58,13 +62,10 @@ class DynamicRig(RigModel):
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, tolerance: float = TOLERANCE,
-        dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Callable[[int], None] | None = None,
-        without: frozenset[str] = frozenset(),
+        dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Progress = None, without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
         super().__init__(model, parts, tuple(_RECORDED), every_row, progress, without)
         self.tolerance, self.dtype, self.jobs = tolerance, dtype, jobs
-        logged = {s.signal for segments in self.segments.values() for s in segments}
-        self.signals = tuple(s for s in _RECORDED if s in logged)
         #: Numbers of the logs by their period, s, the longest first: logs of about the same length run side by side.
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
@@ -98,7 +99,7 @@ class DynamicRig(RigModel):
 
     def following(self, channels: Collection[int]) -> DynamicRig:
         # An uneven log is simulated on a finer grid than it is measured on.
-        return view(self, followed=frozenset(() if any(p.held is not None for p in self.parts) else channels))
+        return self.view(followed=frozenset(() if any(p.held is not None for p in self.parts) else channels))
 
     def base(self, channel: int) -> list[str]:
         # A spool that is given as without dry friction has none to adjust; what it has all the same is an effect.
@@ -106,15 +107,12 @@ class DynamicRig(RigModel):
         return own + given_parameters(self, channel)
 
     def candidates(self) -> list[str]:
-        both = len(self.channels) == 2
+        both, declared = len(self.channels) == 2, self.model.declared
+        every = (e for e in CATALOGUE.values() if both or not e.couples_channels)
+        usable = (e for e in every if not e.family or (e.family != FAMILY and e.name in declared))
+        places = {e.name: self.channels if e.scope == "channel" else (None,) for e in usable}
         return [
-            e.name
-            for e in CATALOGUE.values()
-            if (both or not e.couples_channels)
-            and e.name not in self.without
-            and not all(self.has(e.name, c) for c in (self.channels if e.scope == "channel" else (None,)))
-            and e.family != FAMILY
-            and (not e.family or e.name in self.model.declared)
+            n for n, on in places.items() if n not in self.without and not all(self.has(n, c) for c in on)
         ]
 
     # --- simulation -----------------------------------------------------------------------------------------------------
@@ -135,16 +133,13 @@ class DynamicRig(RigModel):
             return found
 
         sides = [[(number(p), c) for p in self._apart(r) for c in self._seen(p)] for r in requests]
-        found = self._predict(single, first)
-        return [{c: found[number][c] for number, c in own} for own in sides]
+        results = self._predict(single, first)
+        return [{c: results[number][c] for number, c in own} for own in sides]
 
     def _apart(self, request: Request) -> list[Request]:
         """The request as one for each channel, if they do not act on each other."""
-        if (
-            request.channel is not None
-            or self.coupled
-            or any(CATALOGUE[e].couples_channels for e in request.effects)
-        ):
+        tied = self.coupled or any(CATALOGUE[e].couples_channels for e in request.effects)
+        if request.channel is not None or tied:
             return [request]
         like = [None] * 2 if request.like is None else self._apart(request.like)
         return [Request(c, request.on(c), one) for c, one in zip(self.channels, like, strict=False)]
@@ -155,7 +150,7 @@ class DynamicRig(RigModel):
         for n, leader in enumerate(first):
             families.setdefault(leader, []).extend([n] if n != leader else [])
 
-        def run(batches: Sequence[_Batch]) -> set[int]:
+        def run(batches: Iterable[_Batch]) -> set[int]:
             work = partial(self._run, requests=requests, results=results)
             lost = map(work, batches) if self._pool is None else self._pool.map(work, batches)
             return {n for each in lost for n in each if first[n] != n}
@@ -166,31 +161,28 @@ class DynamicRig(RigModel):
         run(self._free(requests, {n: [] for n in sorted(lost)}))
         return results
 
-    def _free(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+    def _free(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> Iterator[_Batch]:
         """Batches of those that take steps of their own and that no other one follows."""
         by_kernel: dict[tuple[str, ...], list[int]] = {}
         for n, others in families.items():
             if not others:
                 by_kernel.setdefault(self.kernel(requests[n].effects), []).append(n)
-        batches = []
         for effects, numbers in by_kernel.items():
             rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                width = FOLLOWING_BLOCK if self.followed else BLOCK
-                every = (lanes[n : n + width] for n in range(0, len(lanes), width))
-                batches += [_Batch(effects, period, own) for own in every]
-        return batches
+                width = WIDE_BATCH if self._wide else BLOCK
+                for n in range(0, len(lanes), width):
+                    yield _Batch(effects, period, lanes[n : n + width])
 
-    def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+    def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> Iterator[_Batch]:
         """Batches of those that take the steps of another one, which is the first of each. A side of a block is all of one."""
         sides: dict[tuple[tuple[str, ...], bool], list[list[int]]] = {}
         for leader, others in families.items():
             effects = self.kernel(frozenset().union(*(requests[n].effects for n in (leader, *others))))
+            whole = len(self._sides(leader, requests[leader])) == 2
             for n in range(0, len(others), BLOCK - 1):
-                own = [leader, *others[n : n + BLOCK - 1]]
-                sides.setdefault((effects, self._whole(requests[leader])), []).append(own)
-        batches = []
+                sides.setdefault((effects, whole), []).append([leader, *others[n : n + BLOCK - 1]])
         for (effects, whole), every in sides.items():
             step, blocks = 1 if whole else 2, []
             for both in (every[n : n + step] for n in range(0, len(every), step)):
@@ -199,11 +191,10 @@ class DynamicRig(RigModel):
                 blocks.append([[side for n in row for side in self._sides(n, requests[n])] for row in rows])
             for period, logs in self._logs.items():
                 lanes = [[(log, rig) for rig in rigs] for rigs in blocks for log in logs]
-                if self.followed:  # several blocks together, each filled up with its first lane
+                if self._wide:  # several blocks together, each filled up with its first lane
                     filled = [lane for own in lanes for lane in (*own, *own[:1] * (BLOCK - len(own)))]
-                    lanes = [filled[n : n + FOLLOWING_BLOCK] for n in range(0, len(filled), FOLLOWING_BLOCK)]
-                batches += [_Batch(effects, period, own, grouped=True) for own in lanes]
-        return batches
+                    lanes = [filled[n : n + WIDE_BATCH] for n in range(0, len(filled), WIDE_BATCH)]
+                yield from (_Batch(effects, period, own, grouped=True) for own in lanes)
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
@@ -235,12 +226,15 @@ class DynamicRig(RigModel):
         pairs = zip_longest(single[:half], single[half:])
         return [sides for sides in wanted if len(sides) == 2] + [[s for s in pair if s] for pair in pairs]
 
-    def _whole(self, request: Request) -> bool:
-        """Whether a request takes both sides of a rig."""
-        return request.channel is None or self.coupled
+    @property
+    def _wide(self) -> bool:
+        """Whether batches are wide ones."""
+        return bool(self.followed) or max(len(part.log) * part.finer for part in self.parts) < FEW_ROWS
 
     def _sides(self, number: int, request: Request) -> list[Side]:
-        return [(number, c) for c in (0, 1) if self._whole(request) or request.channel == c]
+        """What a request takes of a rig: both sides, or one alone."""
+        whole = request.channel is None or self.coupled
+        return [(number, c) for c in (0, 1) if whole or request.channel == c]
 
     def _run(self, batch: _Batch, requests: Sequence[Request], results: list[Samples]) -> list[int]:
         """Simulates the lanes of a batch and puts what they show into `results`, by request; which of these diverged."""
@@ -262,8 +256,8 @@ class DynamicRig(RigModel):
         for lane, side, n, c in shown:
             for segment in self.segments[c]:
                 if segment.log == batch.lanes[lane][0]:
-                    signal = segment.taken(out[_RECORDED[segment.signal]][:, lane, side], every)
-                    results[n][c][segment.place] = segment.levelled(signal)
+                    signal = out[_RECORDED[segment.signal]][:, lane, side]
+                    results[n][c][segment.place] = segment.taken(signal, every)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
         return [n for lane, side, n, _ in shown if diverged[lane, side]]
@@ -271,9 +265,7 @@ class DynamicRig(RigModel):
     def _seen(self, request: Request) -> tuple[int, ...]:
         return self.channels if request.channel is None else (request.channel,)
 
-    def _simulate(
-        self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
-    ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
+    def _simulate(self, batch: _Batch, values: Values, plays: np.ndarray) -> tuple[int, Values, np.ndarray]:
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns the step from one row that
         is there to the next, the signals (rows, lanes, 2), and what diverged (lanes, 2)."""
         rows = [len(part.log) * part.finer for part in self.parts]
@@ -295,9 +287,7 @@ class DynamicRig(RigModel):
                 out = plant.run(inputs[0], inputs[1], batch.period, signals, every)
             return every, out, plant.get("diverged") > 0.0
 
-    def _follow(
-        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
-    ) -> dict[str, np.ndarray]:
+    def _follow(self, plant: Plant, inputs: np.ndarray, lanes: Sequence[Lane], period: float) -> Values:
         """Runs as `Plant.run` does, but after each row the speed of a followed channel goes part of the way to the measured one.
 
         By that the noise of one row is in the speed of the next: the recorded difference is made so much smaller that noise alone
@@ -322,18 +312,13 @@ class DynamicRig(RigModel):
         return dict(zip(signals, out, strict=True))
 
 
-def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
-    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its rows (fewer on an early window than `parts`
-    has) and the channel that each side plays. A lane whose log has ended is at rest."""
+def _inputs(parts: Sequence[Part], lanes: Sequence[Lane]) -> np.ndarray:
+    """Commands and loads (2, rows, lanes, 2) of lanes, of fewer rows on an early window than `parts` has. A lane whose log has
+    ended is at rest."""
     found = np.zeros((2, max(rows for _, rows, *_ in lanes), len(lanes), 2))
     for kind in dict.fromkeys(lanes):
         number, rows, *sides = kind
         part, alike = parts[number], [n for n, other in enumerate(lanes) if other == kind]
-        now = slice(rows)
-        if part.held is not None:
-            found[:, now, alike] = part.held[:, now, None, sides]
-            continue
-        found[0, now, alike] = np.nan_to_num(part.log.command_V[now, sides])
-        if part.log.load is not None:
-            found[1, now, alike] = np.nan_to_num(part.log.load[now, sides])
+        held = np.nan_to_num([values[:rows] for values in part.driving]) if part.held is None else part.held
+        found[:, :rows, alike] = held[:, :rows, None, sides]
     return found

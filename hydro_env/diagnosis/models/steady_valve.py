@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
 from ...plant.catalogue.effect import arguments, called_by
 from ..input.parts import Part, filled
-from .base import Request, RigModel, Samples, given_parameters
+from .base import Progress, Request, RigModel, Samples, given_parameters
 
 #: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
 SUPPORTED = (
@@ -48,7 +48,7 @@ class SteadyValve(RigModel):
     )
 
     def __init__(
-        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, progress: Callable[[int], None] | None = None,
+        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, progress: Progress = None,
         flow_gain: dict[int, float] | None = None, without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
         super().__init__(model, parts, ("speed",), every_row, progress, without)
@@ -118,17 +118,13 @@ class SteadyValve(RigModel):
             own = (f"{e}.{p.name}" for e in effects for p in CATALOGUE[e].parameters)
             wanted = [requests[n].on(channel) for n in numbers]
             names = dict.fromkeys(("Kq", "lag", *own, *(name for each in wanted for name in each)))
-            values = {
-                name: np.array([[each.get(name, self.given(name, channel))] for each in wanted])
-                for name in names
-            }
+            given = {name: self.given(name, channel) for name in names}
+            values = {n: np.array([[each.get(n, usual)] for each in wanted]) for n, usual in given.items()}
             ordered = [n for n in CATALOGUE if n in effects]
             speeds = [self._speed(part, channel, values, ordered) for part in self.parts]
             for lane, n in enumerate(numbers):
-                out = np.empty(self.segments[channel][-1].place.stop)
-                for s in self.segments[channel]:
-                    out[s.place] = speeds[s.log][lane, s.rows]
-                results[n][channel] = out
+                own_rows = [speeds[s.log][lane, s.rows] for s in self.segments[channel]]
+                results[n][channel] = np.concatenate(own_rows)
         if self.progress is not None:
             self.progress(len(requests))
         return results
@@ -142,7 +138,9 @@ class SteadyValve(RigModel):
         command = np.nan_to_num(log.command_V[:, channel])[None, :]
         delays = [values[f"{e}.{own}"] for e in effects if (own := CATALOGUE[e].delays_command)]
         if delays:
-            command = _delayed(command[0], np.sum(delays, axis=0), period)
+            # Interpolated, so that the result is smooth in the delay.
+            rows, late = np.arange(len(log)), np.sum(delays, axis=0)[:, 0] / period
+            command = np.stack([np.interp(rows - each, rows, command[0]) for each in late])
         voltage = apply_laws("voltage", command, effects, known)
         known["current"] = voltage / known["R"]
         force = known["alpha"] * known["current"]
@@ -159,19 +157,11 @@ class SteadyValve(RigModel):
         return apply_laws("measured_speed", speed, effects, known)
 
 
-def _delayed(command: np.ndarray, delay: np.ndarray, period: float) -> np.ndarray:
-    """The command (T,) late by delay (lanes, 1), interpolated so that the result is smooth in the delay."""
-    rows = np.arange(command.size)
-    return np.stack([np.interp(rows - d / period, rows, command) for d in delay[:, 0]])
-
-
 def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
     """First-order lag of a value that is held from row to row; the output at a row is before that row's command acts."""
-    out = np.empty(value.shape)
-    for lane in range(value.shape[0]):
-        keep = float(np.exp(-period / lag[lane, 0]))
-        out[lane] = lfilter([0.0, 1.0 - keep], [1.0, -keep], value[lane])
-    return out
+    keeps = [float(np.exp(-period / each)) for each in lag[:, 0]]
+    lanes = zip(keeps, value, strict=True)
+    return np.stack([lfilter([0.0, 1.0 - keep], [1.0, -keep], own) for keep, own in lanes])
 
 
 def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
@@ -186,9 +176,8 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     loop, out = np.zeros((lanes, 1)), np.empty((lanes, current.shape[1]))
     for row in range(current.shape[1]):
         inputs = {**own, "current_rate": changes[:, row : row + 1]}
-        rate, beside = (
-            rate_of(*({**inputs, state.name: at}[n] for n in names)) for at in (loop, loop + further)
-        )
+        both = ({**inputs, state.name: at} for at in (loop, loop + further))
+        rate, beside = (rate_of(*(each[n] for n in names)) for each in both)
         decay = (rate - beside) / further
         loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
         out[:, row] = loop[:, 0]

@@ -4,10 +4,9 @@ pictures, inline SVG with their captions."""
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from datetime import date
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,12 +15,13 @@ from ...pages import COLOURS, figure, render, svg
 from ...plant import CATALOGUE
 from ..models.base import Segment
 from ..stages.localisation import Location
-from ..stages.next_experiment import NextExperiment
 from ..stages.screening import detectable, hidden_by_calibration
 from ..stages.values import known_parameters
-from ..state import State
 from . import statements as say
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: Points of a trace in a picture: one for each pixel of its width.
 POINTS = 900
@@ -36,34 +36,32 @@ _COLOURS = {"before": COLOURS[1], "calibrated": COLOURS[5], "after": COLOURS[0]}
 _ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
 
 
-def report_page(
-    state: State, next_experiment: NextExperiment | None, warnings: Sequence[str], seconds: float
-) -> str:
+def report_page(state: Diagnosis) -> str:
     """The HTML page."""
     return render(
         files(__package__).joinpath("page.html"),
         title=f"Diagnosis of {say.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
-        state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=say, words=words,
-        catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
+        state=state, say=say, words=words, catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
         parameters=[(p, say.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
-        traces=traces(state), maps=maps(state), seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
+        traces=traces(state), maps=[_map(p) for p in say.shown_locations(state)[:2]],
+        seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
     )  # fmt: skip
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------------
-def traces(state: State) -> list[tuple[str, Any]]:
+def traces(state: Diagnosis) -> list[tuple[str, Any]]:
     """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
     other signal that calibration leaves far off."""
     proof, first = state.proofs.held_out, say.headline(state).channel
     by_channel = [{s.signal: s for s in proof.rig.segments[c][::-1]} for c in proof.rig.channels]
     by_channel.sort(key=lambda own: own["speed"].channel != first)
-    others = [s for own in by_channel for s in own.values() if s.signal != "speed"]
-    entries = [proof.errors[s.channel, s.signal] for s in others]
-    far = [s for s, e in zip(others, entries, strict=True) if e["calibrated"] > FAR_OFF * e["noise"]]
-    return [_trace(state, s) for s in (*(own["speed"] for own in by_channel), *far)]
+    off = {key for key, e in proof.errors.items() if e["calibrated"] > FAR_OFF * e["noise"]}
+    speeds = [own.pop("speed") for own in by_channel]
+    far = (s for own in by_channel for s in own.values() if (s.channel, s.signal) in off)
+    return [_trace(state, s) for s in (*speeds, *far)]
 
 
-def _trace(state: State, segment: Segment) -> tuple[str, Any]:
+def _trace(state: Diagnosis, segment: Segment) -> tuple[str, Any]:
     proof, channel, keep = state.proofs.held_out, segment.channel, segment.used
     unit, size = say.unit_of(proof.rig, segment.signal, channel)
     name, log = words.SIGNALS[segment.signal], proof.rig.parts[segment.log].log
@@ -83,9 +81,8 @@ def _trace(state: State, segment: Segment) -> tuple[str, Any]:
         for axis in axes[1:] if model == "after" else axes[1:2]:
             axis.plot(time, errors[model][every], color=colour, label=model, linewidth=1.0)
     for axis, shown in zip(axes[1:], (np.array([*errors.values()]), errors["after"]), strict=False):
-        axis.axhspan(
-            -2.0 * entry["noise"], 2.0 * entry["noise"], color=COLOURS[4], alpha=0.25, label="noise, 2 standard deviations"
-        )  # fmt: skip
+        band = 2.0 * entry["noise"]
+        axis.axhspan(-band, band, color=COLOURS[4], alpha=0.25, label="noise, 2 standard deviations")
         # Limits that a few far larger events do not set.
         if (finite := np.abs(shown[np.isfinite(shown)])).size:
             reach = max(1.15 * float(np.quantile(finite, 0.998)), 3.0 * entry["noise"])
@@ -102,12 +99,8 @@ def _trace(state: State, segment: Segment) -> tuple[str, Any]:
     return caption, svg(drawing, f"{name} of channel {channel + 1} and its error")
 
 
-def maps(state: State) -> list[tuple[str, Any]]:
-    """For the two locations that hold most of the residual: the error over the quantity that its equation depends on."""
-    return [_map(p) for p in say.shown_locations(state)[:2]]
-
-
 def _map(location: Location) -> tuple[str, Any]:
+    """Of a location that holds much of the residual: the error over the quantity that its equation depends on."""
     form, where = location.shape, f"{words.equation(location.equation)} of channel {location.channel + 1}"
     drawing, (axis,) = figure(1, height=2.0, left=LEFT)
     x, y, spread = np.array(form.points).reshape(-1, 3).T

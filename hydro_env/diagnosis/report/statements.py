@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,10 +69,8 @@ def _worst(state: State) -> SignalErrors:
 def headline(state: State) -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
     speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
-    return max(
-        [e for e in speeds if e.channel in named] or speeds,
-        key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30),
-    )
+    own = [e for e in speeds if e.channel in named] or speeds
+    return max(own, key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30))
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
@@ -201,9 +200,8 @@ def shown_locations(state: State) -> list[Location]:
 def windows_text(state: State, location: Location) -> str:
     """The windows of a location, by log."""
     texts, parts = [], state.rig.parts
-    for number in dict.fromkeys(location.logs):
-        mine = [w for w, log in zip(location.windows, location.logs, strict=True) if log == number]
-        text = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in mine) + " s"
+    for number in dict.fromkeys(log for log, _, _ in location.windows):
+        text = ", ".join(f"{a:.2f} to {b:.2f}" for log, a, b in location.windows if log == number) + " s"
         texts.append(text + (f" of {parts[number].log.name}" if len(parts) > 1 else ""))
     return "; ".join(texts)
 
@@ -218,14 +216,9 @@ def places(state: State) -> list[str]:
 def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
     c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
-    return [
-        (
-            CATALOGUE[n.name].parameter(own).title,
-            words.interval(p),
-            words.of_command(n.name, own, p.value, state.model, c),
-        )
-        for own, p in n.parameters.items()
-    ]
+    effect, values = CATALOGUE[n.name], n.parameters.items()
+    shares = {own: words.of_command(n.name, own, p.value, state.model, c) for own, p in values}
+    return [(effect.parameter(own).title, words.interval(p), shares[own]) for own, p in values]
 
 
 def comment(rig: RigModel, p: KnownParameter) -> str:
@@ -250,9 +243,8 @@ def error_columns(state: State) -> list[tuple[str, str, int]]:
     return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
-def correction_texts(state: State) -> list[str]:
+def correction_texts(state: State) -> Iterator[str]:
     """What each form correction is, in a line."""
-    texts = []
     for k in state.models.corrections:
         first = state.rig.channels[0] if k.channel is None else k.channel
         values = list(values_of_effect(state.models.final[first], k.correction, first).items())
@@ -260,8 +252,7 @@ def correction_texts(state: State) -> list[str]:
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
         where = words.where(place_of(k.channel))
         what = f"{CATALOGUE[k.correction].summary}, {where} (for {words.title(k.effect)})"
-        texts.append(f"{what}: {shown}{more}")
-    return texts
+        yield f"{what}: {shown}{more}"
 
 
 def ranking(state: State) -> list[Candidate]:

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ..stages.naming import NamedEffect
-from ..stages.next_experiment import NextExperiment
 from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE
 from ..stages.values import known_parameters
-from ..state import State
 from . import statements as say
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: Lines at most: those of a small terminal.
 LINES = 20
 
 
-def summary(state: State, next_experiment: NextExperiment | None, warnings: Sequence[str]) -> str:
+def summary(state: Diagnosis) -> str:
     """What the page says, shorter."""
     guess = " (best guess, not proven)" if state.best_guess else ""
-    places, tried, known = _places(state), _tried(state), _known(state)
-    lines = [f"verdict: {state.verdict}{guess}", say.sentence(state)]
-    lines += [text for text in [say.weak_proof(state)] if text]
+    places, tried, known, warnings = _places(state), _tried(state), _known(state), state.warnings
+    lines = [*filter(None, (f"verdict: {state.verdict}{guess}", say.sentence(state), say.weak_proof(state)))]
     lines += [*(_effect(state, n) for n in state.effects), *places]
     lines += [f"  form correction, not physics: {text}" for text in say.correction_texts(state)]
     lines += [*_errors(state), *tried, known, _hidden(state)]
-    if next_experiment:
-        lines.append(f"  next experiment: {next_experiment.description}")
+    if state.next_experiment:
+        lines.append(f"  next experiment: {state.next_experiment.description}")
     # What a full screen can spare first: the second place, then what was rejected, then known parameters.
     spare = [known, *tried, *places[1:]]
     while len(lines) > LINES - min(2, len(warnings)) and spare:
@@ -46,13 +47,13 @@ def _first(texts: Sequence[str], count: int = 6) -> str:
     return f"{', '.join(texts[:count])}{more}"
 
 
-def _effect(state: State, n: NamedEffect) -> str:
+def _effect(state: Diagnosis, n: NamedEffect) -> str:
     every = say.effect_values(state, n)
     values = "; ".join(f"{name} {value}" + (f" = {share}" if share else "") for name, value, share in every)
     return f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}"
 
 
-def _places(state: State) -> list[str]:
+def _places(state: Diagnosis) -> list[str]:
     lines = []
     for p in say.shown_locations(state)[:2]:
         where = f"{words.equation(p.equation)} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
@@ -61,7 +62,7 @@ def _places(state: State) -> list[str]:
     return lines
 
 
-def _errors(state: State) -> list[str]:
+def _errors(state: Diagnosis) -> list[str]:
     """The table of errors on the held-out logs."""
     columns = say.error_columns(state)
     heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
@@ -76,7 +77,7 @@ def _errors(state: State) -> list[str]:
     return [*lines, *([f"    at the noise with every model: {', '.join(quiet)}"] if quiet else [])]
 
 
-def _tried(state: State) -> list[str]:
+def _tried(state: Diagnosis) -> list[str]:
     """The best candidates that were refitted and rejected."""
     tried = [r for r in say.ranking(state) if r.refitted and not r.accepted]
     texts = [f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f}: {r.outcome})" for r in tried[:3]]
@@ -85,23 +86,21 @@ def _tried(state: State) -> list[str]:
     return [] if state.effects else ["  no effect was worth a closer look"]
 
 
-def _known(state: State) -> str:
+def _known(state: Diagnosis) -> str:
     """The known parameters that moved most."""
     own = state.rig.own  # of a reduced model: its nominal values stand for nothing
     known = [p for p in known_parameters(state.rig, state.models.shown) if p.moved and abs(p.change) >= 0.005]
     rows = sorted(known, key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"
-    texts = [
-        f"{p.name} = {words.interval(p.estimate)}" if p.symbol in own else f"{p.name} {p.moved_by()}"
-        for p in rows
-    ]
+    values = (f"= {words.interval(p.estimate)}" if p.symbol in own else p.moved_by() for p in rows)
+    texts = [f"{p.name} {value}" for p, value in zip(rows, values, strict=True)]
     far = ", ".join(p.name for p in rows if p.unusual and p.symbol not in own)
     check = f"; check {far}: further than usual" if far else ""
     return f"  known parameters that moved: {_first(texts)}{check}"
 
 
-def _hidden(state: State) -> str:
+def _hidden(state: Diagnosis) -> str:
     named = {(n.name, str(c + 1)) for n in state.effects for c in n.channels}
     texts = []
     for name, row in detectable(state.screening).items():

@@ -68,9 +68,7 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
     """The parameters that calibration may adjust, about their values in the model as given; of these the `chosen` ones."""
     limited, scales = limited_by_effects(), scales_of(rig.model, channel).rough
     found = []
-    for name in rig.base(channel):
-        if chosen is not None and name not in chosen:
-            continue
+    for name in (n for n in rig.base(channel) if chosen is None or n in chosen):
         value, (effect, _, own) = rig.given(name, channel), name.rpartition(".")
         if effect:
             unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
@@ -91,8 +89,7 @@ def check_chosen(rig: RigModel, chosen: Chosen) -> None:
     known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
     for name in chosen:
         if name not in known:
-            near = nearest(name, known)
-            hint = f"did you mean {near!r}? " if near else ""
+            hint = f"did you mean {near!r}? " if (near := nearest(name, known)) else ""
             raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
     for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
         around = u.low <= u.center <= u.high and math.isfinite(u.high - u.low)

@@ -176,13 +176,12 @@ def _load(rig: RigModel) -> Iterator[Finding]:
                 "is the load sensor stuck or at its limit, its zero off, or its unit another?"
             )
             yield Finding("load", message, "correct or leave out the load", "load", channel + 1, sure=True)
-        if _unlike(logged) > _LESS * max(_unlike(mirrored), 1e-3) and _unlike(mirrored) < 0.1:
+        this_way, that_way = _unlike(logged), _unlike(mirrored)
+        hint = "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+        if this_way > _LESS * max(that_way, 1e-3) and that_way < 0.1:
             message = (
                 f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation "
-                f"{1.0 - _unlike(mirrored):.3f} that way, {1.0 - _unlike(logged):.3f} as logged)"
-            )
-            hint = (
-                "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+                f"{1.0 - that_way:.3f} that way, {1.0 - this_way:.3f} as logged)"
             )
             yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
@@ -300,14 +299,11 @@ def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:
             return
         apart = min(like[0, 1], like[1, 0]) - max(like[0, 0], like[1, 1])
         # The coil hardly depends on what is missing elsewhere, so that much smaller differences count there.
-        coil = signal == "current" and all(
-            1.0 - like[c, c] > _LESS * max(1.0 - like[c, 1 - c], 1e-4) for c in (0, 1)
-        )
+        less = all(1.0 - like[c, c] > _LESS * max(1.0 - like[c, 1 - c], 1e-4) for c in (0, 1))
+        coil = less and signal == "current"
+        message = f"the {signal} of each channel is like the model's of the other channel: are they swapped?"
+        hint = f"exchange the {signal} columns in a mapping"
         if apart > 0.2 or coil:
-            message = (
-                f"the {signal} of each channel is like the model's of the other channel: are they swapped?"
-            )
-            hint = f"exchange the {signal} columns in a mapping"
             yield Finding("swapped", message, hint, signal, sure=apart > 0.4 or coil)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,9 @@ TRY_ITERATIONS = 8
 MAX_CORRECTIONS = 2
 #: An effect, and its channel (None: the rig).
 Placed = tuple[str, int | None]
-#: No corrections that were tried.
-NONE: Mapping[Estimate, Correction | None] = {}
+#: The best corrections of estimates for which any were tried, None where there is none.
+Tried = Mapping[Estimate, Correction | None]
+NONE: Tried = {}
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,10 @@ class Models:
     def with_twins(self) -> tuple[Models, list[Estimate]]:
         """The same with copies of the estimates that are reported, and these; one that is several models' stays one."""
         twins = {p: replace(p) for p in self.shown.values()}
-        every = self.given, self.calibrated, self.named, self.final, self.placebo
-        given, calibrated, named, final, placebo = (
-            {c: twins.get(p, p) for c, p in own.items()} for own in every
-        )
-        return Models(given, calibrated, named, final, placebo, self.corrections), list(twins.values())
+        copied: dict[str, Any] = {}
+        for name in ("given", "calibrated", "named", "final", "placebo"):
+            copied[name] = {c: twins.get(p, p) for c, p in getattr(self, name).items()}
+        return replace(self, **copied), list(twins.values())
 
     def as_named(self) -> Models:
         """The same without the corrections of what is named."""
@@ -81,12 +82,10 @@ def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     fit = logs.fit
     able = fit.rig.has_hidden_states and fit.settings.uses("correct_form")
     for p in [p for p in distinct(found) if able and not fit.at_noise(p)]:
-        best: dict[Placed, Correction] = {}
-        for t in sorted(attempts(fit, p, [], shared=False), key=lambda t: t.score):
-            if t.score < p.cost:
-                best.setdefault((t.effect, t.channel), t)
+        tries = sorted(attempts(fit, p, [], shared=False), key=lambda t: -t.score)
+        best = {(t.effect, t.channel): t for t in tries if t.score < p.cost}
         better = p
-        for t in best.values():
+        for t in sorted(best.values(), key=lambda t: t.score):
             of = effect_in(fit.rig, t.correction, t.channel)
             better = t.estimate if better is p else with_correction(better, t.effect, of, t.channel)
             every.append(replace(t, fall=p.cost - t.estimate.cost))
@@ -122,9 +121,7 @@ def with_correction(estimate: Estimate, effect: str, of: Effect, channel: int | 
     alone = channel if estimate.channel is None else None
     correction = of.name
     repeated, added = follows(correction, effect), []
-    for p in of.parameters:
-        if f"{correction}.{p.name}" in repeated:
-            continue
+    for p in (p for p in of.parameters if f"{correction}.{p.name}" not in repeated):
         # The prior is as wide as a correction usually is: ridge regression, in other words.
         shape = not p.carries_size
         scale = 0.7 if p.log else 0.15 * (p.high - p.low) if shape else abs(p.typical)
@@ -136,8 +133,8 @@ def with_correction(estimate: Estimate, effect: str, of: Effect, channel: int | 
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Mapping[Estimate, Correction | None] = NONE
-) -> tuple[Estimate, list[Correction]]:  # fmt: skip
+    fit: Fit, estimate: Estimate, named: Sequence[Placed], known: Tried = NONE
+) -> tuple[Estimate, list[Correction]]:
     """The estimate with those corrections of its effects `named` (with their channels) and of given ones that pay for themselves;
     the estimate itself if none does. `known` are the best corrections of estimates for which they were tried.
     """
@@ -198,8 +195,8 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[Placed], shared: bool
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Mapping[Estimate, Correction | None] = NONE
-) -> tuple[Estimates, list[Correction]]:  # fmt: skip
+    fit: Fit, estimates: Estimates, named: Sequence[Placed], known: Tried = NONE
+) -> tuple[Estimates, list[Correction]]:
     """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)
     every: list[Correction] = []

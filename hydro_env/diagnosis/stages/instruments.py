@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -56,15 +57,10 @@ def eccentric(rig: RigModel) -> Iterator[Finding]:
 
 def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
     """Measurements that lag behind the commands more and more: two devices with clocks of their own."""
-    rates = []
-    for channel in rig.channels:
-        for s in rig.segments[channel]:
-            if s.signal in ("current", "speed"):
-                rate = _rate(s, given[channel].simulated[channel][s.place])
-                if rate is None:
-                    return
-                rates.append(rate)
-    if len(rates) < 2:
+    compared = [s for c in rig.channels for s in rig.segments[c] if s.signal in ("current", "speed")]
+    each = (_rate(s, given[s.channel].simulated[s.channel][s.place]) for s in compared)
+    rates = [*itertools.takewhile(np.isfinite, each)]
+    if len(rates) < max(2, len(compared)):
         return
     typical = float(np.median(rates))
     if np.ptp(rates) < DIFFERENT * abs(typical):
@@ -74,8 +70,8 @@ def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
         yield Finding("clock_drift", message, hint, sure=True)
 
 
-def _rate(s: Segment, simulated: np.ndarray) -> float | None:
-    """How fast the lag of a signal behind its simulation grows, s/s; None if it does not grow along a line."""
+def _rate(s: Segment, simulated: np.ndarray) -> float:
+    """How fast the lag of a signal behind its simulation grows, s/s; NaN if it does not grow along a line."""
     width, reach = round(WINDOW_S / s.period), round(MAX_LAG_S / s.period)
     times, lags = [], []
     for start in range(reach, s.rows.size - width - reach, width // 2):
@@ -93,8 +89,8 @@ def _rate(s: Segment, simulated: np.ndarray) -> float | None:
             times.append((start + 0.5 * width) * s.period)
             lags.append((reach - best - 0.5 * (a - c) / (a - 2.0 * b + c)) * s.period)
     if len(times) < 5:
-        return None
+        return np.nan
     line = np.polyfit(times, lags, 1)
     rise = abs(line[0]) * (times[-1] - times[0])
     off = float(np.sqrt(np.mean((np.polyval(line, times) - lags) ** 2)))
-    return float(line[0]) if rise > RISE_S and off < OFF_LINE * rise else None
+    return float(line[0]) if rise > RISE_S and off < OFF_LINE * rise else np.nan

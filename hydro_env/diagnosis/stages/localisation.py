@@ -52,21 +52,21 @@ class Shape:
 @dataclass(frozen=True)
 class Location:
     """An equation that errs on a channel: its share of the residual, in which regime, with what shape, and the windows that hold
-    most of it, `logs` the number of the fit log that each window is in."""
+    most of it: the number of the fit log, and from when to when, s."""
 
     equation: str
     channel: int
     share: float
     regime: str
-    windows: list[tuple[float, float]]
+    windows: list[tuple[int, float, float]]
     shape: Shape
-    logs: list[int]
 
     def as_dict(self) -> dict[str, object]:
         return {
             "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
             "regime": self.regime,
-            "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows], "windows_log": self.logs,
+            "windows_s": [[round(a, 3), round(b, 3)] for _, a, b in self.windows],
+            "windows_log": [log for log, _, _ in self.windows],
             "shape": vars(self.shape),
         }  # fmt: skip
 
@@ -123,19 +123,16 @@ def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
         for k in components:
             share = excess.get(k.equation, 0.0) / max(sum(excess.values()), 1e-30)
             if share > LISTED:
-                windows, logs = _windows(k)
                 form = shape(k.over, k.error, *k.units)
-                found.append(Location(k.equation, channel, share, _regime(k), windows, form, logs))
+                found.append(Location(k.equation, channel, share, _regime(k), _windows(k), form))
     return sorted(found, key=lambda p: (p.channel, -p.share))
 
 
 def _replays(rig: RigModel, estimate: Estimate, channel: int) -> Iterator[_Replay]:
     """What can be replayed of the signals of each log."""
     by_log = [{s.signal: s for s in rig.segments[channel] if s.log == n} for n in range(len(rig.parts))]
-    shafts = [
-        shaft_of(p, channel, step=mine["speed"].step) if rig.has_hidden_states else None
-        for p, mine in zip(rig.parts, by_log, strict=True)
-    ]
+    dynamic, both = rig.has_hidden_states, zip(rig.parts, by_log, strict=True)
+    shafts = [shaft_of(p, channel, step=own["speed"].step) if dynamic else None for p, own in both]
     best = _best_shaft(estimate, rig, channel, [s for s in shafts if s is not None])
     for number, (part, mine, shaft) in enumerate(zip(rig.parts, by_log, shafts, strict=True)):
         simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}
@@ -181,12 +178,8 @@ def _openings(command: np.ndarray, rated: float) -> dict[str, np.ndarray]:
 
 def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
     """Regimes (n,) of the shaft."""
-    fast = float(np.nanmax(np.abs(speed)))
-    return {
-        "speed near zero": np.abs(speed) < 0.15 * fast,
-        "positive speed": speed > 0.0,
-        "negative speed": speed < 0.0,
-    }
+    slow = np.abs(speed) < 0.15 * float(np.nanmax(np.abs(speed)))
+    return {"speed near zero": slow, "positive speed": speed > 0.0, "negative speed": speed < 0.0}
 
 
 def _lost_within_a_second(shaft: Shaft, values: Mapping[str, float]) -> np.ndarray:
@@ -266,17 +259,14 @@ def _regime(component: _Component) -> str:
     """The condition under which the error is most above its mean."""
     power = component.error**2
     mean = max(float(np.mean(power)), 1e-30)
-    contrast = {
-        name: float(np.mean(power[rows])) / mean
-        for name, rows in component.regimes.items()
-        if MIN_ROWS < rows.mean() < MAX_ROWS
-    }
+    some = {n: rows for n, rows in component.regimes.items() if MIN_ROWS < rows.mean() < MAX_ROWS}
+    contrast = {name: float(np.mean(power[rows])) / mean for name, rows in some.items()}
     best = max(contrast, key=lambda name: contrast[name], default="everywhere")
     return best if contrast.get(best, 0.0) > CONTRAST else "everywhere"
 
 
-def _windows(component: _Component, most: int = 3) -> tuple[list[tuple[float, float]], list[int]]:
-    """Up to `most` windows of a fortieth of the logs with the largest error, and the log that each is in; neighbours are
+def _windows(component: _Component, most: int = 3) -> list[tuple[int, float, float]]:
+    """Up to `most` windows of a fortieth of the logs with the largest error, each with the log that it is in; neighbours are
     joined."""
     width = max(10, component.error.size // 40)
     count = component.error.size // width
@@ -289,4 +279,4 @@ def _windows(component: _Component, most: int = 3) -> tuple[list[tuple[float, fl
         if found and found[-1][0] == log[0] and start - found[-1][2] < 0.5 * (end - start) + 1e-9:
             start = found.pop()[1]
         found.append((int(log[0]), start, end))
-    return [(start, end) for _, start, end in found], [log for log, *_ in found]
+    return found

@@ -134,9 +134,8 @@ def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
 
 
 def _alike(a: Interval, b: Interval) -> bool:
-    if a.low <= b.high and b.low <= a.high:
-        return True
-    return bool(abs(a.value - b.value) <= SAME_VALUE * max(abs(a.value), abs(b.value)))
+    near = abs(a.value - b.value) <= SAME_VALUE * max(abs(a.value), abs(b.value))
+    return bool(near or (a.low <= b.high and b.low <= a.high))
 
 
 def _both(a: Interval, b: Interval) -> Interval:

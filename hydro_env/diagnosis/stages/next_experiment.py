@@ -25,13 +25,11 @@ from ..experiment_design import (
     Trial,
     best_design,
     commands_csv,
-    operation_of,
     weight_of,
 )
 from ..models.dynamic_rig import DynamicRig
 from ..settings import Settings
 from ..state import State
-from .naming import NamedEffect
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -80,15 +78,14 @@ class NextExperiment:
 def run(state: State) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
     asked, wanted = questions(state), operations(state)
-    if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
-        return _in_words(state.effects, state)
-    rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
-    design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
-    if design is None:
-        return _in_words(state.effects, state)
-    names = sorted({name for question in asked for name in question.models})
-    sensor = worth_its_cost(design, state.logs.fit.settings)
-    return NextExperiment(_described(design, sensor), names, design, sensor)
+    if (asked or wanted) and isinstance(state.rig, DynamicRig):
+        rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
+        design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
+        if design is not None:
+            names = sorted({name for question in asked for name in question.models})
+            sensor = worth_its_cost(design, state.logs.fit.settings)
+            return NextExperiment(_described(design, sensor), names, design, sensor)
+    return _in_words(state)
 
 
 def worth_its_cost(design: Design, settings: Settings) -> str | None:
@@ -123,12 +120,8 @@ def max_load(state: State) -> float:
 # --- what is open -----------------------------------------------------------------------------------------------------
 def questions(state: State) -> list[Question]:
     """What the logs leave open: competing names by channel, each with its estimate."""
-    found = []
-    for channel in (*state.rig.channels, None):
-        models = _tied(state, channel) or _best(state, channel)
-        if len(models) > 1:
-            found.append(Question(channel, models))
-    return found
+    every = {c: _tied(state, c) or _best(state, c) for c in (*state.rig.channels, None)}
+    return [Question(channel, models) for channel, models in every.items() if len(models) > 1]
 
 
 def operations(state: State) -> dict[int, Operation]:
@@ -136,7 +129,7 @@ def operations(state: State) -> dict[int, Operation]:
     if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
         return {}
     held_out = state.logs.fit.on(state.logs.held_out)
-    found = {c: operation_of(held_out, state.models.final[c], c) for c in state.rig.channels}
+    found = {c: Operation.of(held_out, state.models.final[c], c) for c in state.rig.channels}
     return {c: each for c, each in found.items() if each is not None}
 
 
@@ -165,12 +158,9 @@ def _best(state: State, channel: int | None) -> dict[str, Estimate]:
 
 def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[str, Estimate]:
     """The latest estimate with each candidate of a channel, or with those that paid for themselves."""
-    return {
-        t.effect: t.estimate
-        for t in state.selection.candidates
-        if t.channel == channel and t.estimate is not None and t.estimate.columns
-        if t.gain > t.needed or not worthwhile
-    }
+    tried = (t for t in state.selection.candidates if t.gain > t.needed or not worthwhile)
+    found = ((t.effect, t.estimate) for t in tried if t.channel == channel)
+    return {name: p for name, p in found if p is not None and p.columns}
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
@@ -204,17 +194,16 @@ def _described(design: Design, sensor: str | None) -> str:
     return "; or ".join(filter(None, (text, known)))
 
 
-def _in_words(named: Sequence[NamedEffect], state: State) -> NextExperiment | None:
+def _in_words(state: State) -> NextExperiment | None:
     """What the catalogue knows of names that stayed tied, or which signals are missing."""
-    for effect in named:
-        for other in effect.indistinguishable_from:
-            if text := separating_experiment(effect.name, other):
-                return NextExperiment(text, sorted({effect.name, other}))
-    for effect in named:
-        if effect.indistinguishable_from:
-            signals = ("current", "pressure", "load")
-            missing = [s for s in signals if not any(p.log.has(s) for p in state.rig.parts)]
-            slow = "slow triangles of three amplitudes, then steps under load"
-            text = f"record {', '.join(missing)} as well" if missing else slow
-            return NextExperiment(text, [effect.name, *effect.indistinguishable_from])
-    return None
+    tied = [[effect.name, *effect.indistinguishable_from] for effect in state.effects]
+    tied = [names for names in tied if len(names) > 1]
+    for name, *others in tied:
+        for other in others:
+            if text := separating_experiment(name, other):
+                return NextExperiment(text, sorted({name, other}))
+    signals = ("current", "pressure", "load")
+    missing = [s for s in signals if not any(p.log.has(s) for p in state.rig.parts)]
+    slow = "slow triangles of three amplitudes, then steps under load"
+    text = f"record {', '.join(missing)} as well" if missing else slow
+    return NextExperiment(text, tied[0]) if tied else None

@@ -41,9 +41,9 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     fit, rig = logs.fit, logs.rig
     able = rig.has_hidden_states and EFFECT in rig.candidates() and fit.settings.uses("follow_speed")
     for c, p in beside.items() if able else ():
-        if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
-            continue
-        if fit.unexplained(p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
+        known = c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c)
+        open_ = p.channel == c and not known and fit.unexplained(p, c)
+        if open_ and (one := _backlash(fit.on(rig.following({c})), p, c)):
             found[c] = one
     if not found:
         return calibrated

@@ -20,7 +20,7 @@ from ...measured.samples import standing_out
 from ..estimation.noise import noise_floor
 from ..input.parts import Part, timed
 from ..logs import Estimates, distinct
-from ..models.base import Request, RigModel, Segment, Segments, view
+from ..models.base import Request, RigModel, Segment, Segments
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
 #: nothing of it is true, and of commands a whole row earlier half of that, where half a row is.
@@ -90,7 +90,7 @@ def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, li
                 )
                 hint = "no shaft moves so for a row or two; they do not count"
                 findings.append(Finding("spikes", message, hint, "speed", c + 1))
-    return (view(rig, segments=segments) if findings else rig), findings
+    return (rig.view(segments=segments) if findings else rig), findings
 
 
 def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list[np.ndarray]]) -> np.ndarray:
@@ -147,5 +147,5 @@ def _simulated(rig: RigModel, parts: Sequence[Part]) -> tuple[list[Segment], lis
     other = rig.with_parts(list(parts), True)
     shown = other.predict([Request(c, {}) for c in rig.channels])
     other.close()
-    both = [(s, shown[n][c][s.place]) for n, c in enumerate(rig.channels) for s in other.segments[c]]
-    return [s for s, _ in both], [values for _, values in both]
+    segments = [s for c in rig.channels for s in other.segments[c]]
+    return segments, [shown[rig.channels.index(s.channel)][s.channel][s.place] for s in segments]

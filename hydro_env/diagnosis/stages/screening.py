@@ -64,14 +64,12 @@ class _Projector:
         columns = estimate.columns[channel] * self.weights[:, None]
         # Rows of the prior below the columns make the projection a ridge: parameters move inside their priors only.
         prior = np.diag([1.0 if u.prior else 1e-3 for u in estimate.unknowns])
-        self.basis = np.linalg.qr(np.vstack([columns, prior]))[0]
         # Of the vectors that are projected the rows of the prior are zero.
-        self.rows = self.basis[: len(columns)]
+        self.rows = np.linalg.qr(np.vstack([columns, prior]))[0][: len(columns)]
 
     def __call__(self, vector: np.ndarray) -> np.ndarray:
         weighted = vector * self.weights
-        projected: np.ndarray = weighted - self.rows @ (self.rows.T @ weighted)
-        return projected
+        return np.asarray(weighted - self.rows @ (self.rows.T @ weighted))
 
 
 def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:
@@ -93,7 +91,7 @@ def screen(
     beside: dict[int | None, Estimate] = dict(estimates.items())
     if any(CATALOGUE[name].scope == "rig" for name in effects):
         beside[None] = joined(estimates)
-    tries: dict[tuple[str, int | None], list[dict[str, float]]] = {}
+    tries: list[tuple[Effect, int | None, list[dict[str, float]]]] = []
     for name in effects:
         for channel in estimates if CATALOGUE[name].scope == "channel" else (None,):
             if not fit.rig.has(name, channel):
@@ -102,21 +100,16 @@ def screen(
                 starts = effect_starts(effect, seconds)
                 if channel in settled:
                     starts = [start for start in starts if _is_medium(effect, start)] or starts
-                tries[name, channel] = [*starts, *(start for start in known if start not in starts)]
-    begun = [
-        beside[c].with_effect(effect_in(fit.rig, name, c), start, c)
-        for (name, c), own in tries.items()
-        for start in own
-    ]
+                tries.append((effect, channel, [*starts, *(start for start in known if start not in starts)]))
+    begun = [beside[c].with_effect(effect, start, c) for effect, c, starts in tries for start in starts]
     results = iter(fit.rig.predict([p.request() for p in begun]))
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
-    noise = {
-        c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
-        for c, p in estimates.items()
-    }
-    errors = {c: left[c](fit.rig.segments[c].joined.error(p.simulated[c])) for c, p in estimates.items()}
+    at_noise = {c: {s: fit.noise[c, s] for s in fit.rig.segments[c].by_signal} for c in estimates}
+    noise = {c: _Projector(fit, p, c, at_noise[c]) for c, p in estimates.items()}
+    every = {c: [s.error(p.simulated[c]) for s in fit.rig.segments[c]] for c, p in estimates.items()}
+    errors = {c: left[c](np.concatenate(own)) for c, own in every.items()}
     found = []
-    for (name, channel), starts in tries.items():
+    for effect, channel, starts in tries:
         channels, rows = fit.rig.channels if channel is None else (channel,), []
         for start, result in zip(starts, results, strict=False):
             change = {c: result[c] - estimates[c].simulated[c] for c in channels}
@@ -124,12 +117,11 @@ def screen(
                 gain = _gain(fit, {c: left[c](change[c]) for c in channels}, errors, left)
                 rows.append((gain, start, change))
         if rows:
-            effect = effect_in(fit.rig, name, channel)
             gain, start, change = max(rows, key=lambda row: row[0])
             medium = ([each for _, size, each in rows if _is_medium(effect, size)] or [change])[-1]
             visible = sum(float(np.sum(noise[c](each) ** 2)) for c, each in medium.items())
             unprojected = sum(float(np.sum((each * noise[c].weights) ** 2)) for c, each in medium.items())
-            found.append(Screening(name, channel, start, gain, visible, unprojected))
+            found.append(Screening(effect.name, channel, start, gain, visible, unprojected))
     return sorted(found, key=lambda k: -k.gain)
 
 
@@ -139,11 +131,9 @@ def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
 
 def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     """By signal the RMS error, at least the noise."""
-    found = {}
-    for signal, own in fit.rig.segments[channel].by_signal.items():
-        errors = np.concatenate([s.left(estimate.simulated[channel]) for s in own])
-        found[signal] = max(fit.noise[channel, signal], float(np.sqrt(np.mean(errors**2))))
-    return found
+    simulated, signals = estimate.simulated[channel], fit.rig.segments[channel].by_signal.items()
+    errors = {signal: np.concatenate([s.left(simulated) for s in own]) for signal, own in signals}
+    return {s: max(fit.noise[channel, s], float(np.sqrt(np.mean(e**2)))) for s, e in errors.items()}
 
 
 def _gain(fit: Fit, changes: Samples, errors: Samples, projectors: dict[int, _Projector]) -> float:
@@ -167,16 +157,13 @@ def _gain(fit: Fit, changes: Samples, errors: Samples, projectors: dict[int, _Pr
 
 def detectable(screening: Sequence[Screening]) -> dict[str, dict[str, bool]]:
     """By effect and channel ("1", "2", "rig"): whether an effect of medium size would show in these logs."""
-    found: dict[str, dict[str, bool]] = {}
-    for one in screening:
-        found.setdefault(one.effect, {})[place_of(one.channel)] = one.shows
-    return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
+    shown = sorted((k.effect, place_of(k.channel), k.shows) for k in screening)
+    found = {name: {place: shows for effect, place, shows in shown if effect == name} for name in CATALOGUE}
+    return {name: own for name, own in found.items() if own}
 
 
 def hidden_by_calibration(screening: Sequence[Screening]) -> dict[str, list[str]]:
     """By effect the channels on which calibration takes all of an effect of medium size that would show otherwise."""
-    found: dict[str, list[str]] = {}
-    for one in screening:
-        if one.hidden:
-            found.setdefault(one.effect, []).append(place_of(one.channel))
-    return {name: sorted(found[name]) for name in CATALOGUE if name in found}
+    hidden = [k for k in screening if k.hidden]
+    found = {name: sorted(place_of(k.channel) for k in hidden if k.effect == name) for name in CATALOGUE}
+    return {name: own for name, own in found.items() if own}

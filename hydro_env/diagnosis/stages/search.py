@@ -12,7 +12,6 @@ from ..estimation.estimate import Estimate
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from ..estimation.local_minima import grow_horizon
-from ..estimation.unknowns import bases_of
 from ..logs import Estimates
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Correction, judge, penalty
 from .form_correction import best_attempt
@@ -33,13 +32,10 @@ class Search:
     calibrated: Estimates
     screening: Sequence[Screening]
     seconds: float
-    present: Estimates = field(default_factory=dict)
+    present: Estimates
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     forms: dict[Estimate, Correction | None] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.present = self.present or dict(self.calibrated)
 
     @property
     def names(self) -> list[str]:
@@ -49,11 +45,6 @@ class Search:
     def on(self, channel: int | None) -> list[Accepted]:
         """What was accepted on a channel."""
         return [k for k in self.accepted if k.channel == channel]
-
-    @property
-    def of_rig(self) -> bool:
-        """Whether the present estimate is one of the whole rig."""
-        return any(p.channel is None for p in self.present.values())
 
     def put(self, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
@@ -119,7 +110,7 @@ def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:
         return
     fresh = []
     for p in estimates:
-        bases = bases_of(p.label)
+        bases = {own.part_of for own in CATALOGUE[p.label].parameters}
         fresh.append([j for j, u in enumerate(p.unknowns) if u.effect == p.label or u.name in bases])
     for _ in range(SHORT_ITERATIONS):
         differentiate(fit, estimates, fresh)

@@ -35,15 +35,14 @@ def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
     """Selects effects and estimates the noise again."""
     logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
     own = {c: copies[p] for c, p in calibrated.estimates.items()}
-    search = select(Search(logs.fit, own, screening, logs.seconds))
+    search = select(Search(logs.fit, own, screening, logs.seconds, dict(own)))
     placebo = _placebos(search)
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, placebo
     tried = [t.estimate for t in search.forms.values() if t is not None]
     fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
-    logs = replace(logs, fit=fit)
     found = search.calibrated, search.present, search.accepted, search.candidates
-    return Selection(logs, *found, placebo, search.forms)
+    return Selection(replace(logs, fit=fit), *found, placebo, search.forms)
 
 
 def _placebos(search: Search) -> Estimates:
@@ -70,7 +69,7 @@ def select(search: Search) -> Search:
     compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
-    other = Search(search.fit, search.calibrated, search.screening, search.seconds)
+    other = Search(search.fit, search.calibrated, search.screening, search.seconds, dict(search.calibrated))
     _search(other, not leads)
     return better_set(search, other)
 
@@ -145,7 +144,8 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
             here = {c: search.present[c] for c in channels}
             screening = screen(search.fit, here, search.names, search.seconds, search.screening)
         # Channels that are estimated together take turns: what one of them gets changes the model of both.
-        turns = [[c] for c in channels] if search.of_rig else [channels]
+        together = any(p.channel is None for p in search.present.values())
+        turns = [[c] for c in channels] if together else [channels]
         accepted = [c for turn in turns for c in _round(search, turn, screening, number)]
         channels = [c for c in accepted if _worth_another(search, c)]
 
@@ -261,9 +261,7 @@ def rig_effect_leads(search: Search) -> bool:
 
     It then comes first: beside it, channels are searched for what they have, without it for what imitates it.
     """
-    best: dict[int | None, float] = {}
-    for k in search.screening:
-        best[k.channel] = max(best.get(k.channel, 0.0), k.gain)
+    best = {k.channel: max(k.gain, 0.0) for k in sorted(search.screening, key=lambda k: k.gain)}
     of_rig = best.pop(None, 0.0)
     return of_rig > sum(best.values())
 

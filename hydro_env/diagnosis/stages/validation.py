@@ -82,9 +82,7 @@ def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
             # The noise by the residual that is smoothest of both.
             smooth = [traces[name][channel] for name in ("calibrated", "after")]
             noise = [min(noise_in(rig, s, s.measured - x[s.place]) for x in smooth) for s in own]
-            entry = {"noise": float(np.median(noise)) / size}
-            for name in models:
-                error = np.concatenate([s.left(traces[name][channel]) for s in own])
-                entry[name] = float(np.sqrt(np.mean(error**2))) / size
-            errors[channel, signal] = entry
+            left = {name: np.concatenate([s.left(traces[name][channel]) for s in own]) for name in models}
+            rms = {name: float(np.sqrt(np.mean(error**2))) / size for name, error in left.items()}
+            errors[channel, signal] = {"noise": float(np.median(noise)) / size, **rms}
     return Proof(rig, errors, traces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,11 +68,8 @@ class KnownParameter:
 
 def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, Interval]:
     """The parameters of an effect on a channel."""
-    return {
-        u.parameter: _interval(estimate, j)
-        for j, u in enumerate(estimate.unknowns)
-        if u.effect == effect and u.channel in (None, channel)
-    }
+    every = ((u, j) for j, u in enumerate(estimate.unknowns) if u.channel in (None, channel))
+    return {u.parameter: _interval(estimate, j) for u, j in every if u.effect == effect}
 
 
 def widened_by_form(effect: Effect, name: str, found: Interval, bare: Interval, row: float = 0.0) -> Interval:
@@ -102,17 +100,15 @@ def _interval(estimate: Estimate, j: int) -> Interval:
     return Interval(value, low, high, u.unit)
 
 
-def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
+def known_parameters(rig: RigModel, estimates: Estimates) -> Iterator[KnownParameter]:
     """The base parameters of every channel, with those of effects that the model as given has."""
-    found = []
     for c, estimate in estimates.items():
         for j, u in enumerate(estimate.unknowns):
             if u.channel in (None, c) and not u.effect:
                 value, (effect, _, own) = _interval(estimate, j), u.name.rpartition(".")
                 if effect:
                     value = widened_by_form(effect_in(rig, effect, c), own, value, value, row_of(rig, c))
-                found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, u.usual))
-    return found
+                yield KnownParameter(u.name, c, rig.given(u.name, c), value, u.usual)
 
 
 def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]:

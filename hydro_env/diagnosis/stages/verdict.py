@@ -72,9 +72,8 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     """
     logs = selection.logs
     elsewhere = list(_elsewhere(logs, proofs))
-    found = []
-    if verdict == "effects" and not elsewhere:
-        found = doubts(logs, selection.accepted, models.final, proofs)
+    judged = verdict == "effects" and not elsewhere
+    found = doubts(logs, selection.accepted, models.final, proofs) if judged else []
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere)
     bare = uncertainty.run(logs, models.as_named())

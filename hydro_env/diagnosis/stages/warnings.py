@@ -59,9 +59,8 @@ def _about_errors(state: State) -> Iterator[str]:
                 )
 
 
-def about_bounds(estimates: Estimates) -> list[str]:
+def about_bounds(estimates: Estimates) -> Iterator[str]:
     """Estimates that end at the edge of what is plausible."""
-    found = []
     for c, estimate in estimates.items():
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
             (first, last), near = u.bounds, AT_BOUND * (u.bounds[1] - u.bounds[0])
@@ -75,8 +74,7 @@ def about_bounds(estimates: Estimates) -> list[str]:
                     continue
             if u.channel in (None, c) and u.high > u.low:
                 value = f"{u.value(float(q)):.3g} {u.unit}"
-                found.append(f"{u.name} of channel {c + 1} ({value}) ends at the edge of its plausible range")
-    return found
+                yield f"{u.name} of channel {c + 1} ({value}) ends at the edge of its plausible range"
 
 
 def about_logs(rig: RigModel, parts: Sequence[Part]) -> Iterator[str]:

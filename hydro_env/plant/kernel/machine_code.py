@@ -40,7 +40,7 @@ def machine_code(text: str, single: bool, sweeps: Iterable[str] = SWEEPS) -> Mac
     found = kept(name)
     if found is None:
         with _collector_waits():
-            found = _compiled(vector_ir.llvm_text(text, single))
+            found = _compiled(vector_ir.llvm_text(text, single, _register()))
         keep(name, found)
     return MachineCode(found, sweeps)
 
@@ -73,6 +73,13 @@ def _target() -> tuple[Any, ...]:
     return tuple(cpu_target.target_context.codegen().magic_tuple())
 
 
+def _register() -> int:
+    """Bytes of this processor's widest vector register."""
+    return next(
+        (size for size, name in ((64, "+avx512f"), (32, "+avx")) if name in _target()[2].split(",")), 16
+    )
+
+
 def _machine() -> llvm.TargetMachine:
     triple, processor, features = _target()
     target = llvm.Target.from_triple(triple)
@@ -83,5 +90,5 @@ def _machine() -> llvm.TargetMachine:
 
 @cache
 def _translator() -> str:
-    sources = [inspect.getsource(part) for part in (nodes, reader, vector_ir, _compiled, _machine)]
+    sources = [inspect.getsource(part) for part in (nodes, reader, vector_ir, _compiled, _register, _machine)]
     return hashlib.sha256("\0".join(sources).encode()).hexdigest()

@@ -6,10 +6,10 @@ A sweep of a generated kernel is a function `name(cells, h)` of loops
         a = cells[3 * LANES + l]
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
-As many lanes go to a vector as the widest registers hold. Left to Numba the compiler would have to find out types, variables and
-that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text: its
-products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler fused by itself
-would depend on the effects compiled in and on the width of the block.
+As many lanes go to a vector as a register of the processor holds. Left to Numba the compiler would have to find out types,
+variables and that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by
+its text: its products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler
+fused by itself would depend on the effects compiled in and on the width of the block.
 
 `found += test` in a loop counts the lanes that pass a test (before the loop `found = 0`, and `return found` at the end). An `if`
 in a loop ends by storing to a cell: its statements run on all lanes of a vector if any lane passes, so what they store has to be
@@ -29,8 +29,6 @@ from hydro_env.ir.reader import Arr, Reader, module_sources
 #: Type of what a sweep returns: on how many lanes its test was passed.
 FOUND = ir.IntType(32)
 
-#: Bytes of the widest vector register that is made use of; narrower machines take several.
-_WIDEST = 64
 _COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
 _OPERATIONS = {
     "add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "and": "and_", "or": "or_", "not": "not_",
@@ -45,11 +43,11 @@ class _Emitter:
     """Emits the statements of one sweep; values are vectors of `width` lanes."""
 
     def __init__(
-        self, builder: ir.IRBuilder, functions: dict[str, Function], cells: ir.Value, kind: ir.Type, name: str
+        self, builder: ir.IRBuilder, functions: dict[str, Function], cells: ir.Value, name: str, register: int
     ) -> None:
-        self.builder, self.functions, self.name = builder, functions, name
-        self.cells, self.kind = cells, kind
-        self.bytes = 4 if isinstance(kind, ir.FloatType) else 8  # of a real number
+        self.builder, self.functions, self.name, self.register = builder, functions, name, register
+        self.cells, self.kind = cells, cells.type.pointee
+        self.bytes = 4 if isinstance(self.kind, ir.FloatType) else 8  # of a real number
         self.found = builder.alloca(FOUND)  # on how many lanes the test was passed
         builder.store(FOUND(0), self.found)
 
@@ -178,7 +176,7 @@ class _Emitter:
     def _lanes(self, lanes: int, body: list[Statement], names: Names) -> None:
         """A loop over lanes, a vector at a time."""
         emit, index = self.builder, ir.IntType(64)
-        self.width = next(w for w in (16, 8, 4, 2, 1) if w * self.bytes <= _WIDEST and lanes % w == 0)
+        self.width = next(w for w in (16, 8, 4, 2, 1) if w * self.bytes <= self.register and lanes % w == 0)
         before, loop = emit.block, emit.append_basic_block("lanes")
         emit.branch(loop)
         emit.position_at_end(loop)
@@ -211,11 +209,11 @@ def _same(a: Expr, b: Expr) -> bool:
     return (a.op, a.value) == (b.op, b.value) and all(map(_same, a.args, b.args))
 
 
-def llvm_text(text: str, single: bool) -> str:
+def llvm_text(text: str, single: bool, register: int) -> str:
     """A module of LLVM with the sweeps of a Python text, each as `int32 name(real *cells, real h)`.
 
     A sweep is a function `name(cells, h)`; other functions are those it calls, assignments name whole numbers. `single`: cells
-    of float32, else of float64.
+    of float32, else of float64. `register`: bytes of a vector register.
     """
     kind = ir.FloatType() if single else ir.DoubleType()
     module, reader = ir.Module("sweeps"), Reader(fuses=True)
@@ -225,6 +223,8 @@ def llvm_text(text: str, single: bool) -> str:
             functions = {each.name: each for each in reader.functions.values()}
             sweep = ir.Function(module, ir.FunctionType(FOUND, [kind.as_pointer(), kind]), name)
             cells, h = sweep.args
-            emitter = _Emitter(ir.IRBuilder(sweep.append_basic_block("entry")), functions, cells, kind, name)
+            emitter = _Emitter(
+                ir.IRBuilder(sweep.append_basic_block("entry")), functions, cells, name, register
+            )
             emitter.sweep(functions[name].body, {"h": h})
     return str(module)
