@@ -9,25 +9,22 @@ from typing import Any
 
 from ..diagnosis import Diagnosis
 from ..diagnosis.command import diagnosed
-from ..diagnosis.experiment_design import SENSORS
 from ..diagnosis.logs import Logs
 from ..diagnosis.stages.naming import UNKNOWN
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
-from ..errors import InputError, suggestion
+from ..errors import InputError
 from ..files import output_folder, write_text
-from ..limits import Limits
 from ..pages import beside_results
 from . import folder as cases
 from .folder import CaseFile, Place, Question, Round
 from .hypotheses import certainty, expected, places_of
 from .page import case_page
+from .sensors import SENSORS, Shown, costs_of, shown
 
 #: From this probability of the best answer on a case is sure: names that leave a little reach 0.88 (`naming.INCOMPLETE`).
 SURE = 0.85
 #: A question has to bring this much probability.
 WORTH_ASKING = 0.02
-#: A sensor for one experiment costs as much as this many experiments, unless the user says otherwise.
-COST = 1.0
 #: Why a case may be closed.
 NOTHING_LEFT = "nothing left that experiments within the limits can part"
 #: Attributes of a log by what `hydro-env hide --record` calls them.
@@ -52,7 +49,7 @@ def run(
     Raises:
         InputError: for what is no case, other options than the first call's, and logs that cannot be used.
     """
-    arguments(options)
+    arguments(options), costs_of(options["sensor"] or [])
     before = None
     if logs and sealed and not (folder / cases.FILE).exists():
         case = cases.begin(folder, logs, sealed, options)
@@ -109,7 +106,9 @@ def _diagnosed(
             **arguments,
         )  # fmt: skip
     number, places = len(case.asked) + 1, places_of(found)
-    question, closed = _next(found, places, f"question_{number}.csv", number <= case.options["questions"])
+    with_sensor = shown(found, costs_of(case.options["sensor"] or []))
+    file, may_ask = f"question_{number}.csv", number <= case.options["questions"]
+    question, closed = _next(found, places, with_sensor, file, may_ask)
     if question is not None and question.commands is not None and found.next_experiment is not None:
         write_text(folder / question.commands, str(found.next_experiment.csv()))
     now = Round(
@@ -124,7 +123,7 @@ def _diagnosed(
 
 
 def _next(
-    found: Diagnosis, places: Sequence[Place], file: str, may_ask: bool
+    found: Diagnosis, places: Sequence[Place], shown: Shown, file: str, may_ask: bool
 ) -> tuple[Question | None, str | None]:
     """The next question, or why the case is closed."""
     experiment, now = found.next_experiment, certainty(places)
@@ -132,8 +131,8 @@ def _next(
         return None, "sure"
     if experiment is None:
         return None, NOTHING_LEFT
-    why, design = experiment.description.replace(NEXT_EXPERIMENT, file), experiment.design
-    then = expected(places, experiment.apart, found.logs.fit.settings)
+    why, design = experiment.description.replace(NEXT_EXPERIMENT, file) + shown.words, experiment.design
+    then = expected(places, shown.apart, found.logs.fit.settings.temper)
     if design is not None and design.prediction is None and then - now < WORTH_ASKING:
         return None, f"{NOTHING_LEFT}: {why}"
     if not may_ask:
@@ -143,8 +142,8 @@ def _next(
     what = "best guess, not proven" if found.best_guess else "open"
     question = Question(
         why=f"{what}: {open_}; {why}", commands=None if design is None else file,
-        record=[*recorded(found.logs), *filter(None, [experiment.sensor])], sensor=experiment.sensor,
-        apart={" | ".join(pair): round(d, 2) for pair, d in experiment.apart.items()}, now=now, expected=then,
+        record=[*recorded(found.logs), *filter(None, [shown.sensor])], sensor=shown.sensor,
+        apart={" | ".join(pair): round(d, 2) for pair, d in shown.apart.items()}, now=now, expected=then,
     )  # fmt: skip
     return question, None
 
@@ -163,19 +162,6 @@ def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
     attribute = _LOGGED[asked.sensor][0]
     came = any(p.log.get(attribute) is not None for p in found.rig.parts if p.log.sha256 in shas)
     return [] if came else [f"came back without {asked.sensor.replace('_', ' ')}"]
-
-
-def sensor_costs(words: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """`spool=2` ... as the cost of each sensor in experiments; `none`: no sensor may be asked for. InputError for others."""
-    costs = dict.fromkeys(SENSORS, COST)
-    for word in words:
-        name, _, text = word.partition("=")
-        if word == "none":
-            return ()
-        if name not in SENSORS:
-            raise InputError(f"--sensor {word}: {suggestion(name, [*SENSORS, 'none'])}")
-        costs[name] = Limits(0.0, 1000.0).read(text, f"--sensor {word}: the cost, in experiments,")
-    return tuple(costs.items())
 
 
 def said(folder: Path, case: CaseFile) -> str:

@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from ..diagnosis import Diagnosis, Settings
-from ..diagnosis.experiment_design import weight_of
+from ..diagnosis import Diagnosis
+from ..diagnosis.experiment_design import SECONDS
+from ..diagnosis.models.base import BLOCK_S
 from ..diagnosis.stages.naming import PARAMETERS, UNCONFIRMED, UNKNOWN
 from ..diagnosis.stages.next_experiment import CALIBRATION, questions
 from .folder import Place
+
+Distances = Mapping[tuple[str, str], float]
 
 #: Digits of a probability, and the least share that is listed on its own.
 DIGITS, LISTED = 3, 0.005
@@ -58,21 +61,28 @@ def certainty(places: Sequence[Place]) -> float:
     return min(max([p for n, p in each.hypotheses.items() if n != UNKNOWN], default=0.0) for each in places)
 
 
-def expected(places: Sequence[Place], apart: Mapping[tuple[str, str], float], settings: Settings) -> float:
+def weight_of(apart: float, temper: float) -> float:
+    """The weight that a wrong model keeps after an experiment in which it is so far `apart` from the right one (RMS in units of
+    what is not known): that of its expected deviance, tempered as in naming. The laws of machines differ from block to block of
+    `BLOCK_S`, so each counts once."""
+    return math.exp(-0.5 * temper * SECONDS / BLOCK_S * apart**2)
+
+
+def expected(places: Sequence[Place], apart: Distances, temper: float) -> float:
     """The same after an experiment in which models of two names are so far apart.
 
     If one of them is right, the others keep the weight of their expected deviance. What no model stands for keeps its share.
     """
-    return min(_expected(each, apart, settings) for each in places)
+    return min(_expected(each, apart, temper) for each in places)
 
 
-def _expected(place: Place, apart: Mapping[tuple[str, str], float], settings: Settings) -> float:
+def _expected(place: Place, apart: Distances, temper: float) -> float:
     shares = {n: p for n, p in place.hypotheses.items() if n != UNKNOWN and p > 0.0}
     models = {n: CALIBRATION if n == PARAMETERS else n for n in shares}
 
     def kept(one: str, other: str) -> float:
         pair = models[one], models[other]
-        return weight_of(apart.get(pair, apart.get(pair[::-1], 0.0)), settings)
+        return weight_of(apart.get(pair, apart.get(pair[::-1], 0.0)), temper)
 
     right = 0.0
     for one, p in shares.items():

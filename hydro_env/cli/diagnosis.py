@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -163,17 +163,17 @@ def _dialogue(context: Context) -> None:
     kept["effects"] = [folder.sha256_of(Path(path)) for path in options["effect_files"] or []]
     dialogue.run(
         options["case"], options["fit_logs"] or [], options["sealed"] or [], kept, given | {"effects"}, jobs=options["jobs"],
-        arguments=lambda o: _arguments(o, dialogue.sensor_costs(o["sensor"] or [])),
+        arguments=_arguments,
     )  # fmt: skip
 
 
-def _arguments(options: Mapping[str, Any], sensors: Collection[tuple[str, float]] = ()) -> dict[str, Any]:
+def _arguments(options: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of `diagnose` from options of the command."""
     from hydro_env.diagnosis import Settings
 
     pressure = options["pressure_limit"]
     settings = Settings(
         seed=options["seed"], command_limit=options["command_limit"] / 100.0, rate_limit=options["rate_limit"],
-        load_limit=options["load_limit"], pressure_limit=None if pressure is None else pressure * BAR, sensors=sensors,
+        load_limit=options["load_limit"], pressure_limit=None if pressure is None else pressure * BAR,
     )  # fmt: skip
     return {"settings": settings, "steady": options["steady"], "accept": options["accept"] or []}

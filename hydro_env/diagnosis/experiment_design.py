@@ -85,35 +85,16 @@ class Operation:
         return cls(estimate, joined @ joined.T / joined.size)
 
 
-#: Sensors that may be added, by the names of `hydro-env hide --record`, and the signals that they show.
-SENSORS: dict[str, tuple[str, ...]] = {
-    "current": ("current",),
-    "pressure": ("pressure",),
-    "spool": ("spool",),
-    "flow": ("flow",),
-    "line_pressures": ("pressure", "mean_line_pressure"),
-}
-
-
-def weight_of(apart: float, settings: Settings) -> float:
-    """The weight that a wrong model keeps after an experiment in which it is so far `apart` from the right one (RMS in units of
-    what is not known): that of its expected deviance, tempered as in naming. The laws of machines differ from block to block of
-    `BLOCK_S`, so each counts once."""
-    return float(np.exp(-0.5 * settings.temper * SECONDS / BLOCK_S * apart**2))
-
-
 @dataclass(frozen=True)
 class Design:
     """Commands (T, 2) in V and loads (T, 2) in N m, one row every `PERIOD`, and for each pair of names how far their models are
     apart: RMS in units of what is not known. `prediction`: how far estimates are apart on the held-out logs now and, as expected,
-    with the experiment, RMS in times the noise. `with_sensor`: how far models are apart with each sensor that may be added, in
-    the same measure, so that what it shows adds up."""
+    with the experiment, RMS in times the noise."""
 
     command_V: Array
     load: Array
     apart: Mapping[tuple[str, str], float]
     prediction: tuple[float, float] | None = None
-    with_sensor: Mapping[str, Mapping[tuple[str, str], float]] = field(default_factory=dict)
 
 
 # --- the family of experiments ----------------------------------------------------------------------------------------
@@ -209,11 +190,17 @@ def _scale(fit: Fit, models: Collection[Estimate], channel: int, signal: str) ->
 @dataclass(frozen=True)
 class Trial:
     """Experiments on the models: what each question's models answer, what each channel's estimate would still leave open of the
-    held-out logs, and which channels stay below the pressure limit."""
+    held-out logs, and which channels stay below the pressure limit. `more`: signals that are logged besides."""
 
     fit: Fit
     questions: Sequence[Question]
     operations: Mapping[int, Operation] = field(default_factory=dict)
+    more: Sequence[str] = ()
+
+    @property
+    def signals(self) -> list[str]:
+        """The signals that are logged."""
+        return [*self.fit.rig.signals, *self.more]
 
     @cached_property
     def _requests(self) -> list[list[Request]]:
@@ -228,49 +215,23 @@ class Trial:
         """Simulates experiments (n, T, 2, 2): how far apart the models of each question are; by channel the mean squares (n,) by
         which estimates would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
         tables, allowed = self._simulate(experiments)
-        owned = tables[len(tables) - len(self.operations) :]
-        left = {c: self._left(c, table[c]) for c, table in zip(self.operations, owned, strict=True)}
-        return self._apart(tables, self.fit.rig.signals), left, allowed
-
-    def with_sensors(self, experiment: Array) -> dict[str, list[Distances]]:
-        """How far the models of each question are apart in an experiment (T, 2, 2) with each sensor that may be added and that
-        the logs lack."""
-        rig = self.fit.rig
-        assert isinstance(rig, DynamicRig)
-        more = {n: [s for s in SENSORS[n] if s not in rig.signals] for n, _ in self.fit.settings.sensors}
-        more = {name: signals for name, signals in more.items() if signals}
-        if not more or not self.questions:
-            return {}
-        tables, _ = self._simulate(experiment[None], [*UNITS])
-        places = {n: [[*UNITS].index(s) for s in (*rig.signals, *added)] for n, added in more.items()}
-        found = {}
-        for name, at in places.items():
-            signals = [*rig.signals, *more[name]]
-            own = self._apart([{c: v[:, :, at] for c, v in t.items()} for t in tables], signals)
-            # Means over more signals, but of the sum: a sensor takes nothing away.
-            grown = len(signals) / len(rig.signals)
-            found[name] = [{pair: grown * d for pair, d in each.items()} for each in own]
-        return found
-
-    def _apart(self, tables: list[dict[int, Array]], signals: Sequence[str]) -> list[Distances]:
         ensembles = iter(tables)
         apart = []
         for question in self.questions:
             own = dict(zip(question.models, ensembles, strict=False))
             # One of the models may be of the whole rig, another one of a channel alone.
             shared = sorted(set.intersection(*(set(table) for table in own.values())))
-            scales = {c: self._scales(question.models.values(), c, signals) for c in shared}
+            scales = {c: self._scales(question.models.values(), c) for c in shared}
             of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
             pairs = itertools.combinations(of, 2)
             found = {(a, b): [_distances(of[a][c], of[b][c]) for c in shared] for a, b in pairs}
             apart.append({pair: np.mean(squares, axis=0) for pair, squares in found.items()})
-        return apart
+        left = {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)}
+        return apart, left, allowed
 
-    def _simulate(
-        self, experiments: Array, signals: Sequence[str] = ()
-    ) -> tuple[list[dict[int, Array]], Array]:
-        """What the requests of each model show in `signals` (none: those logged), by channel (requests, n, signals, T), and
-        whether a channel is allowed (n, 2)."""
+    def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
+        """What the requests of each model show in the logged signals, by channel (requests, n, signals, T), and whether a channel
+        is allowed (n, 2)."""
         rig = self.fit.rig
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
@@ -285,20 +246,20 @@ class Trial:
                 peak = np.abs(values[:, pressure]).max(axis=-1)
                 # A comparison with NaN is false: what diverges is not allowed either.
                 allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
-        places = [[*UNITS].index(signal) for signal in signals or rig.signals]
+        places = [[*UNITS].index(signal) for signal in self.signals]
         each = ({c: v[:, places] for c, v in table.items()} for table in every)
         grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
         return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
-    def _scales(self, models: Collection[Estimate], channel: int, signals: Sequence[str]) -> Array:
+    def _scales(self, models: Collection[Estimate], channel: int) -> Array:
         """What cannot be known of each signal (signals, 1)."""
-        return np.array([[_scale(self.fit, models, channel, signal)] for signal in signals])
+        return np.array([[_scale(self.fit, models, channel, signal)] for signal in self.signals])
 
     def _left(self, channel: int, table: Array) -> Array:
         """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
         `table` (2 + draws, n, signals, T) of an operation."""
         operation = self.operations[channel]
-        seen = table / self._scales([operation.estimate], channel, self.fit.rig.signals)
+        seen = table / self._scales([operation.estimate], channel)
         left = np.empty(table.shape[1])
         for n in range(left.size):
             whole, bare, *draws = seen[:, n]
@@ -306,6 +267,12 @@ class Trial:
             off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
+
+    def distances(self, experiment: Array) -> dict[tuple[str, str], float]:
+        """How far the models of each pair are apart in an experiment (T, 2, 2), RMS in units of what is not known."""
+        return {
+            pair: float(np.sqrt(d[0])) for each in self.run(experiment[None])[0] for pair, d in each.items()
+        }
 
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
@@ -376,14 +343,10 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 
 def _described(trial: Trial, experiment: Array) -> Design:
     answers, left, _ = trial.run(experiment[None])
-
-    def roots(each: Sequence[Distances]) -> dict[tuple[str, str], float]:
-        return {pair: float(np.sqrt(d[0])) for own in each for pair, d in own.items()}
-
+    apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.items()}
     prediction = None
     if left:
         now = max(float(np.trace(each.apart)) for each in trial.operations.values())
         prediction = np.sqrt(now), np.sqrt(max(float(each[0]) for each in left.values()))
     rated = np.array(trial.fit.rig.model.pair("u_rated"))
-    sensors = {name: roots(each) for name, each in trial.with_sensors(experiment).items()}
-    return Design(experiment[..., 0] * rated, experiment[..., 1], roots(answers), prediction, sensors)
+    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, prediction)

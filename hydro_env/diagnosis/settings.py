@@ -58,8 +58,6 @@ class Settings:
     pressure_limit: float | None = None
     #: Its load at most, N m; none: the largest of the logs, 0: no load.
     load_limit: float | None = None
-    #: Sensors that may be asked for in one experiment (`experiment_design.SENSORS`), each with its cost in experiments.
-    sensors: Collection[tuple[str, float]] = ()
     #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
     #: Rules that are switched off.

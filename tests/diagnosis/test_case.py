@@ -16,16 +16,17 @@ import pytest
 from hydro_env.case import dialogue, folder
 from hydro_env.case.folder import CaseFile, Place
 from hydro_env.case.hypotheses import certainty, expected
+from hydro_env.case.sensors import SENSORS, Shown, apart_with, chosen, costs_of
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import Settings
 from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals
 from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
-from hydro_env.diagnosis.experiment_design import SENSORS, Design, Question, Trial
+from hydro_env.diagnosis.experiment_design import Design, Question, Trial
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.naming import UNKNOWN, NamedEffect
-from hydro_env.diagnosis.stages.next_experiment import NextExperiment, worth_its_cost
+from hydro_env.diagnosis.stages.next_experiment import NextExperiment
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import CATALOGUE, load_model
@@ -33,7 +34,7 @@ from hydro_env.practice.generate import make_practice
 from hydro_env.units import BAR, RPM
 
 TWINS = ("spool_stiction", "dead_zone")
-OPTIONS: dict[str, Any] = {"model": "paper", "mapping": None, "questions": 3, "seed": 0}
+OPTIONS: dict[str, Any] = {"model": "paper", "mapping": None, "questions": 3, "seed": 0, "sensor": None}
 
 
 def _log(path: Path, value: float, more: str = "") -> Path:
@@ -57,10 +58,8 @@ class Rigged:
         (out / "report.html").write_text("full")
         shares = {TWINS[0]: 0.5, TWINS[1]: 0.45, UNKNOWN: 0.05}
         apart = {TWINS: 1.5}
-        design = Design(np.ones((10, 2)), np.zeros((10, 2)), apart, None, {"spool": apart})
-        experiment: NextExperiment | None = NextExperiment(
-            "play next_experiment.csv", TWINS, design, self.sensor
-        )
+        design = Design(np.ones((10, 2)), np.zeros((10, 2)), apart)
+        experiment: NextExperiment | None = NextExperiment("play next_experiment.csv", TWINS, design)
         if len(fit) >= self.sure_at:
             shares, experiment = {TWINS[0]: 0.97, UNKNOWN: 0.03}, None
         named = NamedEffect(TWINS[0], (0,), shares[TWINS[0]], [], {}, shares)
@@ -76,6 +75,7 @@ class Rigged:
 def rigged(monkeypatch: pytest.MonkeyPatch) -> Rigged:
     found = Rigged()
     monkeypatch.setattr(dialogue, "diagnosed", found)
+    monkeypatch.setattr(dialogue, "shown", lambda *_: Shown({TWINS: 1.5}, found.sensor))
     return found
 
 
@@ -231,10 +231,7 @@ def test_a_log_without_the_sensor_is_accepted_and_said(
 
 def test_a_sensor_is_asked_for_where_it_is_worth_its_cost() -> None:
     def asked(without: float, with_it: float, cost: float) -> str | None:
-        design = Design(
-            np.zeros((1, 2)), np.zeros((1, 2)), {TWINS: without}, None, {"flow": {TWINS: with_it}}
-        )
-        return worth_its_cost(design, Settings(sensors=[("flow", cost)]))
+        return chosen({TWINS: without}, {"flow": {TWINS: with_it}}, {"flow": cost}, 0.1).sensor
 
     assert asked(0.05, 1.2, 1.0) == "flow"  # twins that commands cannot part
     assert asked(1.1, 5.0, 0.0) is None  # commands part them
@@ -251,33 +248,32 @@ def _estimate(fit: Fit, name: str) -> Estimate:
     return found
 
 
-def test_a_sensor_costs_one_simulation_and_takes_nothing_away(tmp_path: Path) -> None:
+def test_a_sensor_takes_nothing_away(tmp_path: Path) -> None:
     """With the spool seen, stiction and a dead zone are further apart than by speed, current and pressure."""
     make_practice([], duration=3.0, rate=500.0, runs=("fit_1",)).write(tmp_path)
     logged = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     noise = {(0, "speed"): RPM, (0, "current"): 0.002, (0, "pressure"): 0.05 * BAR}
-    fit = Fit(logged, noise, Settings(sensors=[("spool", 1.0), ("current", 1.0)]))
+    fit = Fit(logged, noise, Settings())
     trial = Trial(fit, [Question(0, {name: _estimate(fit, name) for name in TWINS})])
     command = 0.3 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
     experiment = np.stack([np.column_stack([command, command]), np.zeros((1200, 2))], axis=-1)
-    answers, _, _ = trial.run(experiment[None])
-    found = trial.with_sensors(experiment)
+    found = apart_with(trial, experiment, ["spool", "current"])
     assert {*found} == {"spool"}, "the current is logged already"
-    assert found["spool"][0][TWINS][0] >= answers[0][TWINS][0]
+    assert found["spool"][TWINS] >= trial.distances(experiment)[TWINS]
 
 
 def test_what_is_expected_follows_from_the_distance() -> None:
     places = [Place(channel="1", hypotheses={"a": 0.5, "b": 0.4, UNKNOWN: 0.1})]
-    none, some, far = (expected(places, {("b", "a"): d}, Settings()) for d in (0.0, 0.5, 5.0))
+    none, some, far = (expected(places, {("b", "a"): d}, 0.1) for d in (0.0, 0.5, 5.0))
     assert certainty(places) == none == 0.5 and 0.5 < some < far == pytest.approx(0.9, abs=1e-3)
 
 
 def test_costs_of_sensors() -> None:
-    assert dict(dialogue.sensor_costs(["spool=2"])) == {**dict.fromkeys(SENSORS, 1.0), "spool": 2.0}
-    assert dialogue.sensor_costs(["none"]) == ()
+    assert costs_of(["spool=2"]) == {**dict.fromkeys(SENSORS, 1.0), "spool": 2.0}
+    assert costs_of(["none"]) == {}
     for word in ("spol=1", "spool", "spool=-1", "spool=nan", "spool=x"):
         with pytest.raises(InputError, match="--sensor"):
-            dialogue.sensor_costs([word])
+            costs_of([word])
 
 
 def test_the_command_takes_out_or_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

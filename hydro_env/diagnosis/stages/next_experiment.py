@@ -9,7 +9,7 @@ stroke.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,18 +17,8 @@ import numpy as np
 
 from ...plant.catalogue import separating_experiment
 from ..estimation.estimate import Estimate
-from ..experiment_design import (
-    SECONDS,
-    Design,
-    Operation,
-    Question,
-    Trial,
-    best_design,
-    commands_csv,
-    weight_of,
-)
+from ..experiment_design import SECONDS, Design, Operation, Question, Trial, best_design, commands_csv
 from ..models.dynamic_rig import DynamicRig
-from ..settings import Settings
 from ..state import State
 
 #: The file that the commands are written to, beside diagnosis.json.
@@ -46,24 +36,13 @@ class NextExperiment:
     description: str
     separates: Sequence[str]
     design: Design | None = None
-    #: To be logged besides for this experiment, by its name in `SENSORS`.
-    sensor: str | None = None
-
-    @property
-    def apart(self) -> Mapping[tuple[str, str], float]:
-        """How far the models of each pair are apart with what is to be logged."""
-        if self.design is None:
-            return {}
-        return self.design.apart if self.sensor is None else self.design.with_sensor[self.sensor]
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters, `prediction`
         is how far estimates are apart on the held-out logs, RMS in times the noise."""
         found: dict[str, Any] = {"description": self.description, "separates": list(self.separates)}
         if self.design is not None:
-            found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.apart.items()}
-            if self.sensor is not None:
-                found["sensor"] = self.sensor
+            found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.design.apart.items()}
             if self.design.prediction is not None:
                 now, then = self.design.prediction
                 found["prediction"] = {"now": round(now, 2), "expected": round(then, 2)}
@@ -83,30 +62,8 @@ def run(state: State) -> NextExperiment | None:
         design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
         if design is not None:
             names = sorted({name for question in asked for name in question.models})
-            sensor = worth_its_cost(design, state.logs.fit.settings)
-            return NextExperiment(_described(design, sensor), names, design, sensor)
+            return NextExperiment(_described(design), names, design)
     return _in_words(state)
-
-
-def worth_its_cost(design: Design, settings: Settings) -> str | None:
-    """The sensor that brings most beyond its cost; None where none does.
-
-    A sensor is worth as many further experiments as would part two models as far without it. It has to double the odds at
-    least, and where commands part the two it is worth nothing.
-    """
-
-    def worth(without: float, with_it: float) -> float:
-        if without >= PARTED or weight_of(with_it, settings) > 0.5 * weight_of(without, settings):
-            return 0.0
-        return (min(with_it, PARTED) / max(without, 1e-3)) ** 2 - 1.0
-
-    costs = dict(settings.sensors)
-    net = {
-        name: max((worth(design.apart[pair], d) for pair, d in apart.items()), default=0.0) - costs[name]
-        for name, apart in design.with_sensor.items()
-    }
-    best = max(net, key=lambda name: net[name], default=None)
-    return best if best is not None and net[best] > 0.0 else None
 
 
 def max_load(state: State) -> float:
@@ -164,13 +121,12 @@ def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
-def _described(design: Design, sensor: str | None) -> str:
+def _described(design: Design) -> str:
     """What the experiment will show, and what the catalogue says of the pair that it parts least."""
     what = "commands and loads" if design.load.any() else "commands"
     text, known = f"play the {SECONDS:g} s of {what} in {FILE} and log as before", ""
     if design.apart:
-        apart = design.apart if sensor is None else design.with_sensor[sensor]
-        (one, other), least = min(apart.items(), key=lambda item: item[1])
+        (one, other), least = min(design.apart.items(), key=lambda item: item[1])
         pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
         times = f"{least:.2g} times what is not known"
         if least >= PARTED:
@@ -183,13 +139,6 @@ def _described(design: Design, sensor: str | None) -> str:
         text += (
             f"; estimates that the logs allow, {now:.2g} times the noise apart on the held-out logs, should then be "
             f"{then:.2g} times apart"
-        )
-    if sensor is not None:
-        parted = max(apart, key=lambda names: apart[names] / max(design.apart[names], 1e-3))
-        both = " and ".join(name.replace("_", " ") for name in parted)
-        text += (
-            f"; log {sensor.replace('_', ' ')} as well: with it {both} differ by {apart[parted]:.2g}, without by "
-            f"{design.apart[parted]:.2g}"
         )
     return "; or ".join(filter(None, (text, known)))
 
