@@ -23,6 +23,7 @@ SENSORS: dict[str, tuple[str, ...]] = {
     "spool": ("spool",),
     "flow": ("flow",),
     "line_pressures": ("pressure", "mean_line_pressure"),
+    "motor_pressure": ("motor_pressure",),
 }
 #: A sensor for one experiment costs as much as this many experiments, unless the user says otherwise.
 COST = 1.0

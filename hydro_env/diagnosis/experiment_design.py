@@ -305,7 +305,7 @@ def _without_effects(estimate: Estimate) -> Estimate:
 
 def _part(experiment: Array, model: PlantModel, number: int) -> Part:
     """A log of an experiment in which every signal is asked for."""
-    names = ("speed", "current", "pressure", "spool", "flow", "pressure_a", "pressure_b")
+    names = ("speed", "current", "pressure", "spool", "flow", "pressure_a", "pressure_b", "motor_pressure")
     asked: dict[str, Any] = dict.fromkeys(names, np.zeros(experiment.shape[:2]))
     time, command = np.arange(len(experiment)) * PERIOD, experiment[..., 0] * np.array(model.pair("u_rated"))
     log = RigLog(time, command, load=experiment[..., 1], name=str(number), **asked)

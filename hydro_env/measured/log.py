@@ -41,6 +41,7 @@ class RigLog:
     flow: np.ndarray | None = None
     pressure_a: np.ndarray | None = None
     pressure_b: np.ndarray | None = None
+    motor_pressure: np.ndarray | None = None
     setpoint: np.ndarray | None = None
     supply: np.ndarray | None = None
     temperature: np.ndarray | None = None

@@ -25,8 +25,8 @@ from .parameters import PARAMETERS
 
 #: Signals that can be read and recorded.
 #: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a
-#: supply pressure, else only what they add.
-SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
+#: supply pressure, else only what they add. `motor_pressure` (Pa) is the load pressure at the ports of the motor.
+SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure", "motor_pressure")
 
 #: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16, 32)

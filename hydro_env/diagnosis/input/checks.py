@@ -11,7 +11,6 @@ import numpy as np
 
 from ...errors import InputError
 from ...measured import Mapping, RigLog
-from ...measured.mapping import LINES
 from ..estimation.uncertainty import SHORTEST_S, STRETCH_S
 from .parts import Part, overlap, read_parts
 
@@ -33,7 +32,7 @@ def read_logs(
     parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out or ()))
     read.clear()
     overlap(parts, proofs)
-    parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
+    parts, proofs = _without_idle(parts, proofs)
     _check_channels(parts, proofs)
     for what, own in (("fit", parts), ("held-out", proofs)):
         lasts = sum(part.seconds for part in own)
@@ -60,18 +59,6 @@ def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], li
         return parts, proofs
     text = f"channel {idle[0] + 1} was neither driven nor did it move: only the other one is diagnosed"
     return _left_out(parts, proofs, ("command_V", "speed"), idle[0], text)
-
-
-def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
-    """The logs without the signals that only some of the fit logs have."""
-    for signal in ("current", "pressure", "spool", "flow", *LINES):
-        for c in parts[0].log.channels:
-            having = [part.log.has(signal, c) for part in parts]
-            if any(having) and not all(having):
-                what, without = f"{signal} of channel {c + 1}", parts[having.index(False)].label
-                text = f"{what} is not in every fit log (not in {without}): left out of all"
-                parts, proofs = _left_out(parts, proofs, (signal,), c, text)
-    return parts, proofs
 
 
 def _left_out(

@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import best_of_each, best_on_early_window
+from ..estimation.unknowns import effect_starts
 from ..logs import Estimates, distinct
+from ..models.base import effect_in
 from .calibration import Calibrated
 from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
@@ -169,6 +172,9 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
         again = _compete_on_beginning(search, refits)
         refits, gains = refits | again, gains | {c: _gains(search, c, own) for c, own in again.items()}
+    twins = _twins(search, refits, gains)
+    refits = {c: _ranked(fit, [*own, *twins[c]]) for c, own in refits.items()}
+    gains = {c: {**own, **_gains(search, c, twins[c])} for c, own in gains.items()}
     for c, own in every.items():
         for p in own:
             if p.label not in gains[c]:
@@ -226,6 +232,27 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
     others = {c: _ranked(fit, own) for c, own in others.items()}
     search.settle([p for own in others.values() for p in own[:1]])
     return {c: _ranked(fit, [*own, refits[c][0]]) for c, own in others.items()}
+
+
+def _twins(
+    search: Search, refits: dict[int, list[Estimate]], gains: dict[int, dict[str, float]]
+) -> dict[int, list[Estimate]]:
+    """By channel the declared twins of the best candidate that do not compete with it, fitted from where it ended: usual logs
+    cannot tell them apart, so one that is behind may have ended in a local minimum."""
+    fit, found = search.fit, {}
+    for c, (best, *_) in refits.items():
+        less, behind = best.without(best.label, c), search.competing(best.label, gains[c])
+        pays = fit.gain(search.present[c], best) > penalty(fit, best.label)
+        names = [n for n in CATALOGUE[best.label].indistinguishable_from if pays and n in search.names]
+        twins = [effect_in(fit.rig, n, c) for n in names if n not in behind]
+        starts = [
+            (twin, start) for twin in twins for start in effect_starts(twin, search.seconds, whole=True)
+        ]
+        found[c] = [less.with_effect(twin, start, c) for twin, start in starts]
+    fit.evaluate([p for own in found.values() for p in own])
+    found = {c: best_of_each(own) for c, own in found.items()}
+    solve(fit, [p for own in found.values() for p in own], SETTLE_ITERATIONS)
+    return found
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
