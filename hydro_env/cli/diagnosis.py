@@ -53,7 +53,7 @@ def hide(
         float, number("Largest error of the model's base parameters.", Limits(0.0, 50.0, unit="%"))
     ] = 0.0,
     record: Annotated[
-        str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
+        str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures, motor_pressure.")
     ] = "setpoint,current,pressure,load",
     rate: Annotated[float, number("Rows per second.", Limits(10.0, 20_000.0))] = 1000.0,
     duration: Annotated[

@@ -16,6 +16,7 @@ A mapping says for each signal which column holds it, in which unit, and with wh
       pressure: {column: pA, unit: bar, minus: {column: pB, unit: bar, scale: 0.61}}      # load pressure
       pressure_a: {column: pA, unit: bar}     # optional: both lines, above the tank's; a drives in the positive direction
       pressure_b: {column: pB, unit: bar}     # with both and no load pressure, that of a motor is a - b
+      motor_pressure: {column: pM, unit: bar} # optional: load pressure at the ports of the motor
       speed: {column: v, unit: mm/s, sign: -1}               # a unit of position (deg, rev, mm): its slope is the speed
 
 A column without a name, or with one that stands there twice, is called by its number: "1" is the first.

@@ -172,9 +172,11 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
         again = _compete_on_beginning(search, refits)
         refits, gains = refits | again, gains | {c: _gains(search, c, own) for c, own in again.items()}
-    twins = _twins(search, refits, gains)
-    refits = {c: _ranked(fit, [*own, *twins[c]]) for c, own in refits.items()}
-    gains = {c: {**own, **_gains(search, c, twins[c])} for c, own in gains.items()}
+    for c, twins in _twins(search, refits, gains).items():
+        first, gain = refits[c][0], gains[c][refits[c][0].label]
+        best, *_ = refits[c] = _ranked(fit, [*refits[c], *twins])
+        # Directly, in samples that are independent beside the better one: a little that is left makes these many more or less.
+        gains[c] |= {p.label: gain - max(0.0, fit.gain(p, best)) for p in (first, *twins)}
     for c, own in every.items():
         for p in own:
             if p.label not in gains[c]:
@@ -252,7 +254,7 @@ def _twins(
     fit.evaluate([p for own in found.values() for p in own])
     found = {c: best_of_each(own) for c, own in found.items()}
     solve(fit, [p for own in found.values() for p in own], SETTLE_ITERATIONS)
-    return found
+    return {c: own for c, own in found.items() if own}
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
