@@ -108,7 +108,7 @@ def _diagnosed(
     number, places = len(case.asked) + 1, places_of(found)
     with_sensor = shown(found, costs_of(case.options["sensor"] or []))
     file, may_ask = f"question_{number}.csv", number <= case.options["questions"]
-    question, closed = _next(found, places, with_sensor, file, may_ask)
+    question, closed = next_question(found, places, with_sensor, file, may_ask)
     if question is not None and question.commands is not None and found.next_experiment is not None:
         write_text(folder / question.commands, str(found.next_experiment.csv()))
     now = Round(
@@ -122,7 +122,7 @@ def _diagnosed(
     return case
 
 
-def _next(
+def next_question(
     found: Diagnosis, places: Sequence[Place], shown: Shown, file: str, may_ask: bool
 ) -> tuple[Question | None, str | None]:
     """The next question, or why the case is closed."""
