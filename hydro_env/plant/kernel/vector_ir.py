@@ -7,9 +7,9 @@ A sweep of a generated kernel is a function `name(cells, h)` of loops
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
 As many lanes go to a vector as a register of the processor holds. Left to Numba the compiler would have to find out types,
-variables and that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its
-text: its products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler fused by
-itself would depend on the effects compiled in and on the width of the block.
+variables and that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by
+its text: its products and sums are fused, a * b + c in one rounding, and nothing else is fused or reordered. What the compiler
+fused by itself would depend on the effects compiled in and on the width of the block.
 
 `found += test` in a loop counts the lanes that pass a test (before the loop `found = 0`, and `return found` at the end). An `if`
 in a loop ends by storing to a cell: its statements run on all lanes of a vector if any lane passes, so what they store has to be
