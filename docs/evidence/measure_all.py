@@ -26,11 +26,12 @@ from agents.command import run_command
 from docs import generate
 from hydro_env.controllers import CONTROLLERS
 from hydro_env.errors import InputError
-from hydro_env.experiments.naming_benchmark.methods import METHODS
+from hydro_env.experiments.naming_benchmark.methods import METHODS as SHIPPED
 from hydro_env.files import write_json, write_text
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
 from .blind_trials.tables import markdown
+from .naming_methods.methods import METHODS as COMPARED
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = "hydro_env/measured/1"
@@ -198,7 +199,8 @@ STEPS = {
         [
             f"{{hydro}} naming-benchmark make --rigs 36 --seed {BLIND_SEED} --out set",
             "{hydro} naming-benchmark run all --set set --out answers",
-            f"{{hydro}} naming-benchmark score {' '.join(f'answers/{name}' for name in METHODS)} --set set --out .",
+            "{python} -m docs.evidence.naming_methods all --set set --out answers",
+            f"{{hydro}} naming-benchmark score {' '.join(f'answers/{name}' for name in [*SHIPPED, *COMPARED])} --set set --out .",
         ],
         copies={"naming.json": "docs/evidence"},
     ),

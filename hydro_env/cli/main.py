@@ -27,7 +27,6 @@ EXTRAS = {
     "agents": "torch filelock tensorboard stable_baselines3 sb3_contrib onnx onnxruntime",
     "ray": "ray",
     "fmu": "fmpy",
-    "naming": "pysindy",
     "lab": "nicegui fastapi uvicorn",
     "live": "asyncua",
 }

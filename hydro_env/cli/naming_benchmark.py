@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.options import Out, Seed, number, writing
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import Limits
 
@@ -42,20 +42,17 @@ def make(
 
 @naming_benchmark.command(cls=HelpfulCommand)
 def run(
-    method: Annotated[list[str], Argument(metavar="METHOD...", help="Methods, or all.")], set_folder: Set, out: Out
+    method: Annotated[list[str], Argument(metavar="METHOD...", help="diagnose, calibrate, or all.")], set_folder: Set, out: Out
 ) -> None:  # fmt: skip
     """Run methods that ship on a set.
 
     Writes a folder of answers for each method; a stopped run continues.
     """
-    from hydro_env.experiments.naming_benchmark.methods import METHODS, run_methods
+    from hydro_env.experiments.naming_benchmark.methods import METHODS, chosen, run_methods
 
-    names = list(METHODS) if method == ["all"] else method
-    for name in names:
-        if name not in METHODS:
-            raise InputError(f"unknown method {name!r}: {suggestion(name, METHODS)}")
-    run_methods(names, set_folder, out)
-    print(f"Written to {out}: {', '.join(f'{name}/' for name in names)}")
+    methods = chosen(method, METHODS)
+    run_methods(methods, set_folder, out)
+    print(f"Written to {out}: {', '.join(f'{name}/' for name in methods)}")
 
 
 @naming_benchmark.command(cls=HelpfulCommand)

@@ -1,4 +1,4 @@
-"""The naming benchmark: sets that give nothing away, answers, scores, refusals, and the simple methods."""
+"""The naming benchmark: sets that give nothing away, answers, scores, refusals, runs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from hydro_env.cli.main import run
-from hydro_env.experiments.naming_benchmark import methods, scoring, sets
+from hydro_env.experiments.naming_benchmark import scoring, sets
 from hydro_env.experiments.naming_benchmark.answers import answer, read_answers
-from hydro_env.experiments.naming_benchmark.correction import fit_network
-from hydro_env.experiments.naming_benchmark.residual import Equation
+from hydro_env.experiments.naming_benchmark.methods import chosen, run_methods
 from hydro_env.files import write_json
 from hydro_env.plant import CATALOGUE
 
@@ -151,29 +150,31 @@ def test_candidates_hold_what_is_hidden_unless_it_is_unlisted(seed: int) -> None
             assert not alike & {*drawn["left_out"]}
 
 
-def made_up(terms: int = 6) -> list[Equation]:
-    """Two logs whose error is three times the third term, in noise of size one."""
-    rng, found = np.random.default_rng(0), []
-    for log in (0, 1):
-        own = {(f"effect_{k}", "size"): rng.normal(size=2000) for k in range(terms)}
-        error = 3.0 * own["effect_2", "size"] + rng.normal(size=2000)
-        found.append(Equation("line", log, error, rng.uniform(-1.0, 1.0, 2000), own))
-    return found
+def test_a_run_keeps_the_answers_that_are_there(tmp_path: Path) -> None:
+    asked = []
+
+    def mine(folder: Path, out: Path) -> dict[str, Any]:
+        asked.append(folder.name)
+        return answer(folder.name, "none", [], 0.0)
+
+    folder, out = small_set(tmp_path / "set"), tmp_path / "out"
+    run_methods({"mine": mine}, folder, out)
+    run_methods({"mine": mine}, folder, out)
+    assert asked == ["rig_001"] and [*read_answers(out / "mine", ["rig_001"])] == ["rig_001"]
 
 
-def test_certification_finds_the_term_and_nothing_in_noise() -> None:
-    p, _, name = max(methods.certified_terms(made_up()), key=lambda t: t[1])
-    assert name == "effect_2" and p < 1e-6
-    assert methods.false_discovery([0.6, 0.2, 0.04], 0.05) == -1.0
-    assert methods.false_discovery([0.6, 0.03, 0.01], 0.05) == 0.03
+def test_an_unknown_method_is_refused_with_those_there_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "diagnose", "certify", "--set", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert run(["naming-benchmark", *words]) == 2
+    text = capsys.readouterr().err
+    assert text == "error: unknown method 'certify': known are diagnose, calibrate, or all\n"
+    assert not (tmp_path / "out").exists()
 
 
-def test_sparse_regression_finds_the_term() -> None:
-    pytest.importorskip("pysindy")
-    assert methods.chosen_by_regression(made_up()) == {"effect_2": pytest.approx(1.0)}
+def test_all_means_every_method() -> None:
+    def mine(folder: Path, out: Path) -> dict[str, Any]:
+        raise AssertionError
 
-
-def test_the_network_learns_a_curve() -> None:
-    x = np.linspace(-1.0, 1.0, 300)[:, None]
-    found = fit_network(x, np.abs(x[:, 0]))
-    assert np.sqrt(np.mean((found(x) - np.abs(x[:, 0])) ** 2)) < 0.05
+    assert [*chosen(["all"], {"one": mine, "two": mine})] == ["one", "two"]

@@ -1,168 +1,34 @@
-"""Methods that take part: each gets the folder of a rig and writes its answer, as anybody else's would.
+"""Methods that ship: each gets the folder of a rig and writes its answer, as anybody else's would.
 
-diagnose    the diagnosis of this package
-calibrate   known parameters adjusted, no effect named
-sindy       sparse regression of the equations' errors on the catalogue's terms (PySINDy's STLSQ)
-polynomial  sparse polynomial of the line's error, added to the right-hand side; names nothing
-certify     localisation by equation and regime, one term each, F-test on the other log, false-discovery control
-network     small neural network added to the right-hand side of the line; names nothing
-
-All but the first begin with the calibrated model and share its verdict `none` or `calibration` where it leaves the speeds of
-the validation log at their noise.
+diagnose   the diagnosis of this package
+calibrate  known parameters adjusted, no effect named
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
 from tqdm import tqdm
 
 from ...diagnosis import diagnose
-from ...diagnosis.estimation.noise import effective_samples
-from ...files import write_json, write_text
-from ...plant import BUILT_IN, CATALOGUE
-from ...practice.recorder import log_text
+from ...errors import InputError
+from ...files import write_json
+from ...plant import BUILT_IN
 from ...reading import read_json
 from .answers import answer, read_answer
+from .calibrated import name_beside
 from .certainty import WHOLE
-from .correction import Model, fit_network, fit_polynomial, predicted
-from .residual import Equation, Start, begin, equations
 from .sets import read_set
 
-Array = NDArray[np.float64]
-Named = list[dict[str, Any]]
-
-#: False-discovery rate of `certify`.
-FALSE_DISCOVERIES = 0.05
-#: Thresholds that `sindy` chooses among by Schwarz' criterion: least RMS contribution of a term, in the noise of its equation.
-THRESHOLDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: Regimes of `certify`: command as a fraction of the rated one, from and to.
-REGIMES = {
-    "negative": (-9.0, -0.25), "near zero": (-0.25, 0.25), "positive": (0.25, 9.0), "everywhere": (-9.0, 9.0),
-}  # fmt: skip
+#: Takes the folder of a rig and a folder for its answer's files, and returns the answer.
+Method = Callable[[Path, Path], dict[str, Any]]
 
 
-# --- naming by terms ----------------------------------------------------------------------------------------------------
-def chosen_by_regression(found: Sequence[Equation]) -> dict[str, float]:
-    """Effects of a sparse regression of the errors on all terms, each with its share of the explained power."""
-    import pysindy
-
-    keys, design, error = _stacked(found)
-    if not keys:
-        return {}
-    size = np.sqrt(np.mean(design**2, axis=0))
-    samples = sum(effective_samples(e.error) for e in found)
-    best: tuple[float, Array] = (samples * float(np.log(np.mean(error**2))), np.zeros(len(keys)))
-    for threshold in THRESHOLDS:
-        fitted = pysindy.STLSQ(threshold=threshold, alpha=1e-3).fit(design / size, error[:, None])
-        weights = np.asarray(fitted.coef_).ravel()
-        left = float(np.mean((error - design / size @ weights) ** 2))
-        count = int(np.count_nonzero(weights))
-        criterion = samples * float(np.log(left)) + count * float(np.log(samples))
-        if criterion < best[0]:
-            best = (criterion, weights)
-    power = best[1] ** 2
-    shares: dict[str, float] = {}
-    for (name, _), own in zip(keys, power, strict=True):
-        if own > 0.0:
-            shares[name] = shares.get(name, 0.0) + float(own / power.sum())
-    return shares
-
-
-def _stacked(found: Sequence[Equation]) -> tuple[list[tuple[str, str]], Array, Array]:
-    """Terms that every equation has and one feels, as columns (n, terms), and the errors (n,)."""
-    keys = [k for k in found[0].terms if all(k in e.terms for e in found)]
-    columns = {k: np.concatenate([e.terms[k] for e in found]) for k in keys}
-    keys = [k for k in keys if np.mean(columns[k] ** 2) > 1e-6]
-    error = np.concatenate([e.error for e in found])
-    return keys, np.column_stack([columns[k] for k in keys]) if keys else np.zeros((error.size, 0)), error
-
-
-def certified_terms(found: Sequence[Equation]) -> list[tuple[float, float, str]]:
-    """(p, explained power, effect) of a term for every equation and regime: chosen on the first log, tested on the second.
-
-    The F-test compares the error with and without the term, whose coefficient is refitted, on as many samples as the
-    error is worth.
-    """
-    tests = []
-    for name in dict.fromkeys(e.name for e in found):
-        logs = {e.log: e for e in found if e.name == name}
-        first, second = (logs[n] for n in sorted(logs)[:2])
-        for low, high in REGIMES.values():
-            rows, other = ((e.command >= low) & (e.command < high) for e in (first, second))
-            if min(rows.sum(), other.sum()) < 50:
-                continue
-            gains = {
-                k: _explained(first.error[rows], t[rows]) for k, t in first.terms.items() if k in second.terms
-            }
-            if not gains:
-                continue
-            term = max(gains, key=lambda k: gains[k])
-            error = second.error[other]
-            power = float(error @ error)
-            explained = _explained(error, second.terms[term][other])
-            free = max(effective_samples(error) - 1.0, 1.0)
-            ratio = explained / max(power - explained, 1e-30) * free
-            tests.append((float(f_distribution.sf(ratio, 1, free)), explained, term[0]))
-    return tests
-
-
-def _explained(error: Array, term: Array) -> float:
-    """Power of the error (n,) that a term (n,) explains."""
-    power = float(term @ term)
-    return float(error @ term) ** 2 / power if power > 1e-12 * term.size else 0.0
-
-
-def false_discovery(p: Sequence[float], rate: float) -> float:
-    """The largest p-value that Benjamini and Hochberg (1995) accept at this rate; -1 for none."""
-    ordered = sorted(p)
-    accepted = [v for n, v in enumerate(ordered, 1) if v <= rate * n / len(ordered)]
-    return max(accepted, default=-1.0)
-
-
-def _by_regression(start: Start) -> Named:
-    named: Named = []
-    for c in start.open:
-        for name, share in chosen_by_regression(equations(start, c)).items():
-            named.append({"name": name, "channel": str(c + 1), "probability": share})
-    return _joined(named)
-
-
-def _by_certification(start: Start) -> Named:
-    tests = {c: certified_terms(equations(start, c)) for c in start.open}
-    limit = false_discovery([p for own in tests.values() for p, _, _ in own], FALSE_DISCOVERIES)
-    named: Named = []
-    for c, own in tests.items():
-        passed = [(explained, name, p) for p, explained, name in own if p <= limit]
-        if passed:
-            _, name, p = max(passed)
-            named.append({"name": name, "channel": str(c + 1), "probability": 1.0 - p})
-    return _joined(named)
-
-
-def _joined(named: Named) -> Named:
-    """The same effect on both channels as one; what acts on the whole rig as such."""
-    found: dict[str, dict[str, Any]] = {}
-    for effect in named:
-        known = found.get(effect["name"])
-        if CATALOGUE[effect["name"]].scope == "rig":
-            effect = {**effect, "channel": "rig"}
-        elif known is not None:
-            effect = {**effect, "channel": "both"}
-        probability = max(effect["probability"], known["probability"] if known else 0.0)
-        found[effect["name"]] = {**effect, "probability": min(max(float(probability), 0.0), 1.0)}
-    return list(found.values())
-
-
-# --- answers ------------------------------------------------------------------------------------------------------------
 def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
     rig = read_json(folder / "rig.json", "a rig of the naming benchmark")
     start = time.process_time()
@@ -180,45 +46,23 @@ def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
     return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")
 
 
-def _naming(name_them: Callable[[Start], Named], folder: Path, out: Path) -> dict[str, Any]:
-    """Names effects beside the calibrated model, whose held-out error it takes."""
-    start = begin(folder)
-    clock = time.process_time()
-    named = name_them(start) if start.verdict == "unknown" else []
-    start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
-    return _answer(start, clock, folder.name, named, model=f"{folder.name}.yaml")
+METHODS: dict[str, Method] = {"diagnose": _diagnose, "calibrate": partial(name_beside, lambda start: [])}
 
 
-def _correcting(fit: Callable[[Array, Array], Model], folder: Path, out: Path) -> dict[str, Any]:
-    """Adds a black box to the calibrated model and names nothing."""
-    start = begin(folder)
-    clock = time.process_time()
-    write_text(out / f"{folder.name}.csv", log_text(predicted(folder, start.model, fit)))
-    return _answer(start, clock, folder.name, [], prediction=f"{folder.name}.csv")
+def chosen(words: Sequence[str], methods: Mapping[str, Method]) -> dict[str, Method]:
+    """The methods of these names, or all for `all`. InputError for a name that none has."""
+    for word in words:
+        if word != "all" and word not in methods:
+            raise InputError(f"unknown method {word!r}: known are {', '.join(methods)}, or all")
+    return dict(methods) if "all" in words else {word: methods[word] for word in words}
 
 
-def _answer(start: Start, clock: float, rig: str, named: Named, **file: str) -> dict[str, Any]:
-    seconds = start.seconds + time.process_time() - clock
-    return answer(rig, "effects" if named else start.verdict, named, seconds, **file)
-
-
-#: Methods by name: each takes the folder of a rig and a folder for its answer's files, and returns the answer.
-METHODS: dict[str, Callable[[Path, Path], dict[str, Any]]] = {
-    "diagnose": _diagnose,
-    "calibrate": partial(_naming, lambda start: []),
-    "sindy": partial(_naming, _by_regression),
-    "polynomial": partial(_correcting, fit_polynomial),
-    "certify": partial(_naming, _by_certification),
-    "network": partial(_correcting, fit_network),
-}
-
-
-def run_methods(names: Sequence[str], folder: Path, out: Path) -> None:
+def run_methods(methods: Mapping[str, Method], folder: Path, out: Path) -> None:
     """Runs methods on every rig of the set in `folder`; answers go to `out/METHOD`. What is there already is kept.
 
     InputError for a set that cannot be read, or a malformed answer of an earlier run.
     """
-    bar = tqdm(list(product(read_set(folder)["rigs"], names)), unit="answer", disable=None)
+    bar = tqdm(list(product(read_set(folder)["rigs"], methods)), unit="answer", disable=None)
     for rig, name in bar:
         bar.set_description(f"{rig} {name}")
         own = out / name
@@ -227,4 +71,4 @@ def run_methods(names: Sequence[str], folder: Path, out: Path) -> None:
         if path.exists():
             read_answer(path, rig)
         else:
-            write_json(path, METHODS[name](folder / "rigs" / rig, own))
+            write_json(path, methods[name](folder / "rigs" / rig, own))

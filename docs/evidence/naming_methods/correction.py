@@ -16,12 +16,13 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 from scipy.signal import savgol_filter
 
-from ...measured import read_log
-from ...measured.log import RigLog
-from ...plant import PlantModel, simulate
-from ...units import RPM
-from .residual import WIDTH
-from .sets import read_commands
+from hydro_env.experiments.naming_benchmark.sets import read_commands
+from hydro_env.measured import read_log
+from hydro_env.measured.log import RigLog
+from hydro_env.plant import PlantModel, simulate
+from hydro_env.units import RPM
+
+from .equations import WIDTH
 
 Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
