@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..diagnosis import Diagnosis
-from ..diagnosis.command import diagnosed
+from ..diagnosis import Diagnosis, command
 from ..diagnosis.logs import Logs
 from ..diagnosis.stages.naming import UNKNOWN
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
@@ -101,9 +100,9 @@ def _diagnosed(
     for left in folder.glob(".round_*"):  # of a call that was killed
         shutil.rmtree(left)
     with output_folder(folder / f"round_{len(case.rounds)}") as work:
-        found = diagnosed(
-            fit, [str(folder / word) for word in case.sealed], work, jobs=jobs, quiet=quiet, model=model, mapping=mapping,
-            **arguments,
+        found = command.run(
+            fit, [str(folder / word) for word in case.sealed], work, jobs=jobs, quiet=quiet, summary=False, model=model,
+            mapping=mapping, **arguments,
         )  # fmt: skip
     number, places = len(case.asked) + 1, places_of(found)
     with_sensor = shown(found, costs_of(case.options["sensor"] or []))
@@ -131,7 +130,9 @@ def next_question(
         return None, "sure"
     if experiment is None:
         return None, NOTHING_LEFT
-    why, design = experiment.description.replace(NEXT_EXPERIMENT, file) + shown.words, experiment.design
+    why, design = experiment.description.replace(NEXT_EXPERIMENT, file), experiment.design
+    if shown.sensor:  # in the place of what the catalogue knows of the pair
+        why = why.partition("; or ")[0] + shown.words
     then = expected(places, shown.apart, found.logs.fit.settings.temper)
     if design is not None and design.prediction is None and then - now < WORTH_ASKING:
         return None, f"{NOTHING_LEFT}: {why}"

@@ -51,7 +51,7 @@ def _probabilities(case: CaseFile) -> Any:
             left += share
     axis.set_yticks(
         [-n for n in range(len(bars))],
-        [f"after {n} questions, {'rig' if p.channel == 'rig' else f'channel {p.channel}'}" for n, p in bars],
+        [f"after {n} answers, {'rig' if p.channel == 'rig' else f'channel {p.channel}'}" for n, p in bars],
     )
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("probability")

@@ -62,7 +62,7 @@ class Rigged:
         experiment: NextExperiment | None = NextExperiment("play next_experiment.csv", TWINS, design)
         if len(fit) >= self.sure_at:
             shares, experiment = {TWINS[0]: 0.97, UNKNOWN: 0.03}, None
-        named = NamedEffect(TWINS[0], (0,), shares[TWINS[0]], [], {}, shares)
+        named = NamedEffect(TWINS[0], (0,), {}, shares)
         parts = [SimpleNamespace(log=read_log(word, None)) for word in fit]
         logged = SimpleNamespace(parts=parts)
         return SimpleNamespace(
@@ -74,7 +74,7 @@ class Rigged:
 @pytest.fixture
 def rigged(monkeypatch: pytest.MonkeyPatch) -> Rigged:
     found = Rigged()
-    monkeypatch.setattr(dialogue, "diagnosed", found)
+    monkeypatch.setattr(dialogue.command, "run", found)
     monkeypatch.setattr(dialogue, "shown", lambda *_: Shown({TWINS: 1.5}, found.sensor))
     return found
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE
@@ -36,14 +36,20 @@ UNKNOWN, PARAMETERS = "something unknown", "nothing but parameters"
 @dataclass(frozen=True)
 class NamedEffect:
     """An effect that was found, on these `channels` (none: on the whole rig). `shares` are the probabilities of all hypotheses
-    about its place, which sum to one: the name, its competitors, `UNKNOWN` and `PARAMETERS`."""
+    about its place, which sum to one: the name, what it is indistinguishable from, `UNKNOWN` and `PARAMETERS`."""
 
     name: str
     channels: tuple[int, ...]
-    probability: float
-    indistinguishable_from: list[str]
     parameters: dict[str, Interval]
-    shares: Mapping[str, float] = field(default_factory=dict)
+    shares: Mapping[str, float]
+
+    @property
+    def probability(self) -> float:
+        return round(self.shares[self.name], 3)
+
+    @property
+    def indistinguishable_from(self) -> list[str]:
+        return [name for name in self.shares if name not in (self.name, UNKNOWN, PARAMETERS)]
 
     @property
     def channel(self) -> str:
@@ -60,15 +66,12 @@ class NamedEffect:
 
 def run(selection: Selection, found: Confirmed) -> list[NamedEffect]:
     """Names the effects that were found; less likely are those of a verdict `unknown` and those that leave something."""
-    named = name_effects(selection, found.models.final)
-    return [_trusted(n, _trust(found, n)) for n in named]
-
-
-def _trusted(named: NamedEffect, trust: float) -> NamedEffect:
-    """A name that is right no more often than this share of its kind; the rest is of something unknown."""
-    shares = {name: trust * share for name, share in named.shares.items()}
-    shares[UNKNOWN] += 1.0 - trust
-    return replace(named, probability=round(trust * named.probability, 3), shares=shares)
+    named = []
+    for n in name_effects(selection, found.models.final):
+        trust = _trust(found, n)
+        shares = {name: trust * share for name, share in n.shares.items()}
+        named.append(replace(n, shares=shares | {UNKNOWN: shares[UNKNOWN] + 1.0 - trust}))
+    return named
 
 
 def _trust(found: Confirmed, named: NamedEffect) -> float:
@@ -90,21 +93,21 @@ def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:
     fit, found = selection.logs.fit, []
     for one in selection.accepted:
         c = fit.rig.channels[0] if one.channel is None else one.channel
-        competitors = sorted(one.competing, key=lambda n: one.competing[n])
         channels = () if one.channel is None else (one.channel,)
-        shares = _shares(fit, one, competitors, selection.estimates[c])
         bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
         row, effect = row_of(fit.rig, c), effect_in(fit.rig, one.effect, c)
         values = {name: widened_by_form(effect, name, v, bare[name], row) for name, v in values.items()}
-        probability = round(shares[one.effect], 3)
-        found.append(NamedEffect(one.effect, channels, probability, competitors, values, shares))
+        found.append(NamedEffect(one.effect, channels, values, _shares(fit, one, selection.estimates[c])))
     return _merged(found)
 
 
-def _shares(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: Estimate) -> dict[str, float]:
+def _shares(fit: Fit, one: Accepted, estimate: Estimate) -> dict[str, float]:
     """How likely an effect is there, and is this one, each of its competitors, or one of another set of effects."""
     # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
-    declared = CATALOGUE[one.effect].indistinguishable_from
+    declared, competitors = (
+        CATALOGUE[one.effect].indistinguishable_from,
+        sorted(one.competing, key=one.competing.__getitem__),
+    )
     behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in competitors]
     half = 0.5 * fit.settings.temper
     others = [math.exp(-half * deficit) for deficit in (*behind, one.rival)]
@@ -125,11 +128,9 @@ def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
             out.append(n)
             continue
         values = {name: _both(a, n.parameters[name]) for name, a in twin.parameters.items()}
-        competitors = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
         weaker = min(twin, n, key=lambda o: o.probability)
-        out[out.index(twin)] = NamedEffect(
-            n.name, (0, 1), weaker.probability, competitors, values, weaker.shares
-        )
+        shares = dict.fromkeys([*twin.shares, *n.shares], 0.0) | dict(weaker.shares)
+        out[out.index(twin)] = NamedEffect(n.name, (0, 1), values, shares)
     return out
 
 

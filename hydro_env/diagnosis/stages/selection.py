@@ -15,10 +15,8 @@ from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
-from ..estimation.local_minima import best_of_each, best_on_early_window
-from ..estimation.unknowns import effect_starts
+from ..estimation.local_minima import best_of_each, best_on_early_window, extensions
 from ..logs import Estimates, distinct
-from ..models.base import effect_in
 from .calibration import Calibrated
 from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
@@ -245,12 +243,9 @@ def _twins(
     for c, (best, *_) in refits.items():
         less, behind = best.without(best.label, c), search.competing(best.label, gains[c])
         pays = fit.gain(search.present[c], best) > penalty(fit, best.label)
-        names = [n for n in CATALOGUE[best.label].indistinguishable_from if pays and n in search.names]
-        twins = [effect_in(fit.rig, n, c) for n in names if n not in behind]
-        starts = [
-            (twin, start) for twin in twins for start in effect_starts(twin, search.seconds, whole=True)
-        ]
-        found[c] = [less.with_effect(twin, start, c) for twin, start in starts]
+        declared = [n for n in CATALOGUE[best.label].indistinguishable_from if n in search.names]
+        names = [n for n in declared if pays and n not in behind]
+        found[c] = [*extensions(fit.rig, less, c, names)]
     fit.evaluate([p for own in found.values() for p in own])
     found = {c: best_of_each(own) for c, own in found.items()}
     solve(fit, [p for own in found.values() for p in own], SETTLE_ITERATIONS)
