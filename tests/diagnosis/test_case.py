@@ -137,13 +137,12 @@ def test_a_kill_before_or_in_the_diagnosis_costs_only_time(
     def killed(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
-    for place in ("diagnosed", "case_page"):
-        original = getattr(dialogue, place)
-        monkeypatch.setattr(dialogue, place, killed)
-        with pytest.raises(KeyboardInterrupt):
-            begun(answer)
+    for home, place in ((dialogue.command, "run"), (dialogue, "case_page")):
+        with monkeypatch.context() as patch:
+            patch.setattr(home, place, killed)
+            with pytest.raises(KeyboardInterrupt):
+                begun(answer)
         assert folder.read(tmp_path / "case").rounds[1].verdict is None
-        monkeypatch.setattr(dialogue, place, original)
     case = begun()
     assert len(case.rounds) == 2 and case.rounds[1].verdict == "effects"
     assert sum(len(r.logs) for r in case.rounds) == 2
