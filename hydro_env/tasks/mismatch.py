@@ -21,7 +21,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,7 +32,7 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
-from ..reading import parse_yaml, read_yaml
+from ..reading import read_yaml, shipped_yaml
 from ..streams import Component, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked, known
@@ -453,8 +452,7 @@ def _rig_parameters() -> frozenset[str]:
 
 def _read_package() -> dict[str, Any]:
     """The content of `splits.yaml` by name, from which `SPLITS` and `NAMED_PAIRS` are filled."""
-    text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
-    data = parse_yaml(text, "splits.yaml")
+    data = shipped_yaml(__package__, "splits.yaml")
     pairs = {name: {"parameters": what} for name, what in data["pairs"].items()}
     for read, tables in ((SPLITS, data["splits"]), (NAMED_PAIRS, pairs)):
         for name, what in tables.items():

@@ -68,8 +68,7 @@ class Pid:
         into_high = (output > high) & (grown > self.integral)
         into_low = (output < low) & (grown < self.integral)
         self.integral = np.where(into_high | into_low, self.integral, grown)
-        limited: Floats = np.minimum(np.maximum(rest + self.integral, low), high)
-        return limited
+        return np.minimum(np.maximum(rest + self.integral, low), high)
 
 
 class PidController(Controller):

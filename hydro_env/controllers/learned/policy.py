@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import Policy, make_interface
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, located, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
@@ -80,14 +80,12 @@ class Gru(NamedTuple):
         own = np.split(_product(state, self.back) + self.back_bias, 3, axis=-1)
         reset, keep = (_logistic(a + b) for a, b in zip(given[:2], own[:2], strict=True))
         new = np.tanh(given[2] + reset * own[2])
-        following: Floats = new + keep * (state - new)
-        return following
+        return new + keep * (state - new)
 
 
 def _logistic(x: Floats) -> Floats:
     """1 / (1 + exp(-x)), in a form that does not overflow."""
-    value: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
-    return value
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
 
 
 @dataclass(frozen=True)
@@ -137,8 +135,7 @@ def _product(hidden: Floats, weight: Floats) -> Floats:
     """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
     batch, and stiction turns a last bit into another trajectory.
     """
-    product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
-    return product
+    return (hidden[..., None, :] @ weight.T)[..., 0, :]
 
 
 def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
@@ -205,7 +202,7 @@ def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None)
     weight, gates = (
         next(iter(own.values())),
         len(own) - 1,
-    )  # one gate of a dense layer, three of a recurrent one
+    )  # a dense layer has one gate, a recurrent one three
     units, inputs = weight.shape[0] // gates, before.outputs if before else weight.shape[-1]
     shapes = [(gates * units, inputs), (gates * units,), (gates * units, units), (gates * units,)][: len(own)]
     if [array.shape for array in own.values()] != shapes or min(units, inputs) < 1:
@@ -222,10 +219,8 @@ class NumpyPolicy(Policy):
         network, self.metadata = read_policy(path)
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
-        try:
+        with located(f"{path}: interface"):
             self.interface = make_interface(self.metadata.get("interface"))
-        except InputError as problem:
-            raise InputError(f"{path}: interface: {problem}") from None
         wanted = self.interface.num_features, self.interface.num_actions
         if (self.network.num_inputs, self.network.num_outputs) != wanted:
             raise InputError(
