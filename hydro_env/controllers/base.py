@@ -22,18 +22,9 @@ if TYPE_CHECKING:
     from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
-    "FRACTION_PER_V",
-    "OUTPUT_SHAPING",
-    "RPM",
-    "SHAPE",
-    "SLEW",
-    "Bools",
-    "Controller",
-    "Floats",
-    "Gain",
-    "Measurements",
+    "FRACTION_PER_V", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "Bools", "Controller", "Floats", "Gain", "Measurements",
     "Rows",
-]
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
