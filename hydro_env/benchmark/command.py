@@ -237,13 +237,11 @@ def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:
     places: dict[str, Any] = {}
     for cell in cells:
         if cell.traces:
-            of_split = places.setdefault(cell.split, {})
-            of_split.setdefault(cell.scenario, {})[cell.name] = cell.traces
+            places.setdefault(cell.split, {}).setdefault(cell.scenario, {})[cell.name] = cell.traces
     if not places:
         return None
-    limit = float(
-        f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}"
-    )  # of the axis of the difference
+    # Of the axis of the difference.
+    limit = float(f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}")
     about = {"period_s": conditions.control_period, "limit_rpm": limit, "metric": TRACE_METRIC}
     return {**about, "splits": places}
 

@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.options import Out, Seed, number, writing
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, check_known
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import Limits
 
@@ -51,9 +51,7 @@ def run(
     from hydro_env.experiments.naming_benchmark.methods import METHODS, run_methods
 
     names = list(METHODS) if method == ["all"] else method
-    for name in names:
-        if name not in METHODS:
-            raise InputError(f"unknown method {name!r}: {suggestion(name, METHODS)}")
+    check_known("unknown method", names, METHODS)
     run_methods(names, set_folder, out)
     print(f"Written to {out}: {', '.join(f'{name}/' for name in names)}")
 

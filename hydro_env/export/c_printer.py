@@ -20,7 +20,8 @@ from .templates import template
 
 #: C types of kinds of numbers.
 TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
-_BINARY = {
+#: How operations on two numbers are written between them.
+BINARY = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
     "and": "&&", "or": "||",
 }  # fmt: skip
@@ -78,8 +79,8 @@ def expression(x: Expr) -> str:
     texts = [expression(each) for each in x.args]
     if x.op == "load":
         return f"{x.value}[{bare(texts[0])}]"
-    if x.op in _BINARY:
-        return f"({texts[0]} {_BINARY[x.op]} {texts[1]})"
+    if x.op in BINARY:
+        return f"({texts[0]} {BINARY[x.op]} {texts[1]})"
     inside = ", ".join(map(bare, texts))
     match x.op:
         case "address":

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
-from ..errors import InputError, InputWarning, shown, suggestion
+from ..errors import InputError, InputWarning, check_known, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
@@ -401,8 +401,7 @@ def _check_bounds(name: str, pair: tuple[float, float]) -> None:
     """InputError for an unknown parameter, and for a value that no component has."""
     if name not in SENSOR_PARAMETERS:
         if name.startswith("speed_sensor."):
-            hint = suggestion(name, SENSOR_PARAMETERS)
-            raise InputError(f"the speed sensor has no such parameter: {hint}")
+            raise InputError(f"the speed sensor has no such parameter: {suggestion(name, SENSOR_PARAMETERS)}")
         PlantModel(values={name: pair})
     elif min(pair) < 0.0:
         raise InputError(f"{min(pair):g} is below zero")
@@ -416,9 +415,7 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
         own = {"parameters": own}
     given = own["parameters"]
     if base is not None:
-        if not isinstance(base, str) or base not in _SHIPPED:
-            hint = suggestion(base, _SHIPPED)
-            raise InputError(f"{where}: base: unknown split or pair {shown(base)}: {hint}")
+        check_known(f"{where}: base: unknown split or pair", [base], list(_SHIPPED))
         inherited = _SHIPPED[base]["parameters"]
         own = {**_SHIPPED[base], **own}
         own["parameters"] = {**inherited, **given} if isinstance(given, Mapping) else given

@@ -162,8 +162,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
         named = metadata.get(key)
         if not isinstance(named, str) or named not in known:
             raise InputError(f"{path}: {key} {shown(named)} is unknown: {suggestion(named, known)}")
-    layers = _layers(path, arrays)
-    return Network(layers, metadata["activation"], metadata["squash"]), metadata
+    return Network(_layers(path, arrays), metadata["activation"], metadata["squash"]), metadata
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -199,10 +198,8 @@ def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None)
                 f"{path}: {name} should hold floating-point numbers, finite and not beyond {MAX_WEIGHT:g}, of at most"
                 f" {MAX_UNITS} units"
             )
-    weight, gates = (
-        next(iter(own.values())),
-        len(own) - 1,
-    )  # a dense layer has one gate, a recurrent one three
+    # A dense layer has one gate, a recurrent one three.
+    weight, gates = next(iter(own.values())), len(own) - 1
     units, inputs = weight.shape[0] // gates, before.outputs if before else weight.shape[-1]
     shapes = [(gates * units, inputs), (gates * units,), (gates * units, units), (gates * units,)][: len(own)]
     if [array.shape for array in own.values()] != shapes or min(units, inputs) < 1:
