@@ -80,12 +80,14 @@ class Gru(NamedTuple):
         own = np.split(_product(state, self.back) + self.back_bias, 3, axis=-1)
         reset, keep = (_logistic(a + b) for a, b in zip(given[:2], own[:2], strict=True))
         new = np.tanh(given[2] + reset * own[2])
-        return new + keep * (state - new)
+        following: Floats = new + keep * (state - new)
+        return following
 
 
 def _logistic(x: Floats) -> Floats:
     """1 / (1 + exp(-x)), in a form that does not overflow."""
-    return 0.5 + 0.5 * np.tanh(0.5 * x)
+    value: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
+    return value
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,9 @@ def _product(hidden: Floats, weight: Floats) -> Floats:
     """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
     batch, and stiction turns a last bit into another trajectory.
     """
-    return (hidden[..., None, :] @ weight.T)[..., 0, :]
+    # Named, as are those above, since local names become those of the exported Structured Text.
+    product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
+    return product
 
 
 def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
