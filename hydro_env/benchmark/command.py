@@ -120,12 +120,11 @@ def run(
 def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
-    own = [entry for entry in CONTROLLERS.values() if not entry.apart]
     files = [controllers_in(str(spec)) if str(spec).endswith(".py") else [spec] for spec in controllers]
     controllers = list(chain.from_iterable(files))
     if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
         return controllers
-    names = [entry.name for entry in own]
+    names = [entry.name for entry in CONTROLLERS.values() if not entry.apart]
     return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
 
 

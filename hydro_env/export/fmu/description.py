@@ -138,10 +138,8 @@ def _variable(parent: xml.Element, each: Variable, version: int) -> None:
         "name": each.name, "valueReference": str(each.reference), "description": each.text, "causality": each.causality,
         "variability": variability,
     }  # fmt: skip
-    if each.causality == "output":
-        named["initial"] = "calculated"
-    elif each.causality == "parameter":
-        named["initial"] = "exact"
+    if initial := {"output": "calculated", "parameter": "exact"}.get(each.causality):
+        named["initial"] = initial
     typed: dict[str, Any] = {"unit": each.unit} if each.unit else {}
     if each.unit in DISPLAYED:
         typed["displayUnit"] = DISPLAYED[each.unit][0]
