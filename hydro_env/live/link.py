@@ -208,8 +208,7 @@ class Link(FileTable):
 
     def frozen_after(self, key: str) -> float:
         """How long a signal may repeat itself under command, s."""
-        source = self.inputs[key]
-        return source.frozen_s or (FROZEN_S if key.startswith("speed") else math.inf)
+        return self.inputs[key].frozen_s or (FROZEN_S if key.startswith("speed") else math.inf)
 
     @property
     def stop_s(self) -> float:

@@ -258,8 +258,7 @@ class Plant:
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
-            slots = other._ring.shape[1]
-            self._ring = np.zeros((len(self._memory), slots, 2 * kernel.half))
+            self._ring = np.zeros((len(self._memory), other._ring.shape[1], 2 * kernel.half))
             self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
         moving = kernel.num_rows if parameters else kernel.rows["load"] + 1

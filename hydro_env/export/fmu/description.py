@@ -92,19 +92,17 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
         variableNamingConvention="structured", license="MIT",
     )  # fmt: skip
     root.set("guid" if version == 2 else "instantiationToken", token)
-    able = {
-        "canHandleVariableCommunicationStepSize": "true",
-        "canSerializeFMUstate" if version == 2 else "canSerializeFMUState": "true",
-    }
-    able["canGetAndSetFMUstate" if version == 2 else "canGetAndSetFMUState"] = "true"
-    interface = xml.SubElement(root, "CoSimulation", {"modelIdentifier": identifier, **able})
+    state = "FMUstate" if version == 2 else "FMUState"
+    able = ("canHandleVariableCommunicationStepSize", f"canSerialize{state}", f"canGetAndSet{state}")
+    interface = xml.SubElement(
+        root, "CoSimulation", {"modelIdentifier": identifier, **dict.fromkeys(able, "true")}
+    )
     if version == 2:
         files = xml.SubElement(interface, "SourceFiles")
         for name in ("plant.c", "fmi2.c"):
             xml.SubElement(files, "File", name=name)
-    every = [
-        v for v in variables(source) if version == 3 or v.causality != "independent"
-    ]  # optional in FMI 2.0
+    # In FMI 2.0 the time may be left out.
+    every = [v for v in variables(source) if version == 3 or v.causality != "independent"]
     _units(xml.SubElement(root, "UnitDefinitions"), every)
     categories = xml.SubElement(root, "LogCategories")
     xml.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
@@ -135,15 +133,13 @@ def _number(value: float) -> str:
 
 
 def _variable(parent: xml.Element, each: Variable, version: int) -> None:
-    variability = {"parameter": "tunable"}.get(each.causality, "continuous")
+    variability = "tunable" if each.causality == "parameter" else "continuous"
     named = {
         "name": each.name, "valueReference": str(each.reference), "description": each.text, "causality": each.causality,
         "variability": variability,
     }  # fmt: skip
-    if each.causality == "output":
-        named["initial"] = "calculated"
-    elif each.causality == "parameter":
-        named["initial"] = "exact"
+    if initial := {"output": "calculated", "parameter": "exact"}.get(each.causality):
+        named["initial"] = initial
     typed: dict[str, Any] = {"unit": each.unit} if each.unit else {}
     if each.unit in DISPLAYED:
         typed["displayUnit"] = DISPLAYED[each.unit][0]
@@ -151,8 +147,7 @@ def _variable(parent: xml.Element, each: Variable, version: int) -> None:
     if each.start is not None:
         typed["start"] = _number(each.start)
     if version == 2:
-        element = xml.SubElement(parent, "ScalarVariable", named)
-        xml.SubElement(element, "Real", **typed)
+        xml.SubElement(xml.SubElement(parent, "ScalarVariable", named), "Real", **typed)
     else:
         xml.SubElement(parent, "Float64", {**named, **typed})
 
