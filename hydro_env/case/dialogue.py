@@ -20,8 +20,8 @@ from .hypotheses import certainty, expected, places_of
 from .page import case_page
 from .sensors import SENSORS, Shown, costs_of, shown
 
-#: From this probability of the best answer on a case is sure: names that leave a little reach 0.88 (`naming.INCOMPLETE`).
-SURE = 0.85
+#: From this probability of the best answer on a case is sure; names that leave something reach 0.88 (`naming.INCOMPLETE`).
+SURE = 0.9
 #: A question has to bring this much probability.
 WORTH_ASKING = 0.02
 #: Why a case may be closed.
