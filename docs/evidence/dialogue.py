@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,45 +54,64 @@ KINDS = ("asked", "random")
 GROUPS = ("single", "pair", "empty")
 
 
+@dataclass(frozen=True)
+class Rig:
+    """A practice rig that is asked: its `folder`, the settings of its logs, and what it hides; threads of a diagnosis."""
+
+    folder: Path
+    settings: Mapping[str, Any]
+    truth: Mapping[str, Any]
+    jobs: int
+
+    def diagnosed(self, answers: Sequence[Path] = ()) -> tuple[Diagnosis, float]:
+        """What the first log and `answers` show, and how many seconds that took."""
+        begin, model = time.perf_counter(), self.folder / "model.yaml"
+        logs = [self.folder / f"{FIRST}.csv", *answers]
+        found = diagnose(logs, [self.folder / f"{HELD_OUT}.csv"], model=model, jobs=self.jobs)
+        return found, time.perf_counter() - begin
+
+    def played(self, name: str, commands: str, record: Sequence[str]) -> Path:
+        """The log of these commands."""
+        file = self.folder / f"{name}.csv"
+        write_text(file, commands)
+        make_practice(**self.settings, play=file, record=list(dict.fromkeys(record))).write(
+            self.folder / name
+        )
+        return self.folder / name / f"{PLAYED}.csv"
+
+
 def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
     """One rig with each kind of questions: what was found after every log."""
-    how: dict[str, Any] = {
-        "base_error": rig["base_error"], "severity": rig["severity"], "duration": LOG_SECONDS, "rate": RATE,
-        "seed": rig["seed"],
+    settings = {
+        "effects": rig["hidden"], "base_error": rig["base_error"], "severity": rig["severity"], "duration": LOG_SECONDS,
+        "rate": RATE, "seed": rig["seed"],
     }  # fmt: skip
-    row, first = dict(rig) | {"method": method()}, None
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        make_practice(rig["hidden"], runs=(FIRST, HELD_OUT), **how).write(folder)
-        truth = read_json(folder / "truth.json", "a practice rig")
-        for kind in KINDS:
-            rng, logs, rounds = np.random.default_rng([rig["seed"], 8]), [folder / f"{FIRST}.csv"], []
-            while True:
-                begin = time.perf_counter()
-                if first is None or rounds:
-                    found = diagnose(
-                        logs, [folder / f"{HELD_OUT}.csv"], model=folder / "model.yaml", jobs=jobs
-                    )
-                    first = first or found
-                else:
-                    found = first
-                asked = _question(found, rng, kind == "asked")
-                seconds = time.perf_counter() - begin
-                sensor = asked[1] if asked and len(rounds) < QUESTIONS else None
-                rounds.append(_answer(found, truth) | {"sensor": sensor, "seconds": round(seconds, 1)})
-                if asked is None or len(rounds) > QUESTIONS:
-                    break
-                played, record = (
-                    folder / f"{kind}_{len(rounds)}",
-                    [*recorded(found.logs), *filter(None, [asked[1]])],
-                )
-                write_text(played.with_suffix(".csv"), asked[0])
-                make_practice(
-                    rig["hidden"], play=played.with_suffix(".csv"), record=list(dict.fromkeys(record)), **how
-                ).write(played)
-                logs.append(played / f"{PLAYED}.csv")
-            row[kind] = rounds
-    return row
+        make_practice(**settings, runs=(FIRST, HELD_OUT)).write(folder)
+        own = Rig(folder, settings, read_json(folder / "truth.json", "a practice rig"), jobs)
+        first = own.diagnosed()
+        rounds = {kind: _rounds(own, kind, *first) for kind in KINDS}
+    return {**rig, "method": method(), **rounds}
+
+
+def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[str, Any]]:
+    rng, answers, rounds = (
+        np.random.default_rng([rig.settings["seed"], 8]),
+        list[Path](),
+        list[dict[str, Any]](),
+    )
+    while True:
+        begin = time.perf_counter()
+        asked = _question(found, rng, kind == "asked") if len(rounds) < QUESTIONS else None
+        seconds += time.perf_counter() - begin
+        sensor = None if asked is None else asked[1]
+        rounds.append(_answer(found, rig.truth) | {"sensor": sensor, "seconds": round(seconds, 1)})
+        if asked is None:
+            return rounds
+        record = [*recorded(found.logs), *filter(None, [sensor])]
+        answers.append(rig.played(f"{kind}_{len(rounds)}", asked[0], record))
+        found, seconds = rig.diagnosed(answers)
 
 
 def _question(found: Diagnosis, rng: np.random.Generator, asked: bool) -> tuple[str, str | None] | None:
@@ -125,7 +145,7 @@ def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
 
 def rigs(seed: int, singles: int, pairs: int, empty: int) -> Iterator[dict[str, Any]]:
     """Rigs in turn, so that a run that is stopped has some of each group."""
-    drawn = {
+    drawn: dict[str, list[tuple[str, ...]]] = {
         "single": [c.hidden for c in cases(["medium"], seed)], "pair": [c.hidden for c in cases(["two"], seed)],
         "empty": [()],
     }  # fmt: skip
