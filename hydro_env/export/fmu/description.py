@@ -14,6 +14,7 @@ from xml.etree import ElementTree as xml
 from hydro_env.export.plant_source import PlantSource
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.catalogue.effect import parameter_of
+from hydro_env.plant.kernel.layout import with_shared
 
 from .units import DISPLAYED, base_unit
 
@@ -55,11 +56,12 @@ def variables(source: PlantSource) -> list[Variable]:
     for c in (1, 2):
         text = f"torque of the load on the shaft of motor {c}, held over a step"
         found.append(Variable(f"load_{c}", LOAD_REFERENCE + c - 1, "input", "N m", text, 0.0))
+    effects = {effect.name: effect for effect in with_shared(CATALOGUE.values())}
     for name in source.outputs:
         unit, text = _SIGNALS.get(name, ("", ""))
         shown = name.replace("__", ".", 1)
         if not text:
-            text = f"state of the effect {CATALOGUE[name.split('__')[0]].title}"
+            text = f"state of the effect {effects[name.split('__')[0]].title}"
         for c in (1, 2):
             place = FIRST_REFERENCE + source.places[name] + c - 1
             found.append(Variable(f"{shown}_{c}", place, "output", unit, f"{text}, channel {c}"))
