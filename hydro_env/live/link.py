@@ -126,6 +126,7 @@ class Channel(FileTable):
     flow: Input | None = None
     pressure_a: Input | None = None
     pressure_b: Input | None = None
+    motor_pressure: Input | None = None
 
     @model_validator(mode="after")
     def _units_fit(self) -> Channel:
