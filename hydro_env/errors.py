@@ -7,21 +7,14 @@ import sys
 import threading
 import traceback
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
 __all__ = [
-    "InputError",
-    "InputWarning",
-    "nearest",
-    "place_of",
-    "shown",
-    "stopped_by_signals",
-    "suggestion",
-    "to_install",
-]
+    "InputError", "InputWarning", "nearest", "place_of", "shown", "stopped_by_signals", "suggestion", "to_install",
+]  # fmt: skip
 
 #: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
 SIMILAR = 0.5
@@ -93,6 +86,22 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     names = list(known)
     near = nearest(word, names)
     return f"did you mean {near!r}?" if near else f"known are {', '.join(names)}"
+
+
+def check_known(what: str, names: Iterable[object], known: Collection[str]) -> None:
+    """InputError for the first of some names that is not known: "WHAT 'x': did you mean 'y'?"."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{what} {shown(name)}: {suggestion(name, known)}")
+
+
+@contextmanager
+def located(where: object) -> Iterator[None]:
+    """Puts a file, or a place in one, in front of every InputError: who finds what is wrong need not know where it stands."""
+    try:
+        yield
+    except InputError as problem:
+        raise InputError(f"{where}: {problem}") from None
 
 
 def to_install(extra: str) -> str:

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pydantic import BeforeValidator, Field
 
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, located, shown, suggestion
 from hydro_env.plant import PARAMETERS, Plant, PlantModel, load_model, preset_names
 from hydro_env.plant.plant import Lost, grid_points
 from hydro_env.reading import check_file, read_yaml
@@ -220,10 +220,8 @@ def _read(
     links = {}
     for channel, variables in enumerate((given.channel_1, given.channel_2)):
         for signal, variable in variables.items():
-            try:
+            with located(f"{path}: channel_{channel + 1}.{signal}"):
                 links[signal, channel] = variable.link(signal)
-            except InputError as problem:
-                raise InputError(f"{path}: channel_{channel + 1}.{signal}: {problem}") from None
     file = given.model if given.model in preset_names() else Path(path).parent / given.model
     return given.rated, given.start, load_model(file) if given.model else None, links
 

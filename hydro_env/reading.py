@@ -19,6 +19,7 @@ import json
 import os
 import re
 import stat
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,11 @@ def read_yaml(path: str | Path, what: str) -> Any:
     return parse_yaml(read_text(path, what, max_bytes=MAX_BYTES_OF_YAML), str(path))
 
 
+def shipped_yaml(package: str, name: str) -> Any:
+    """The content of a YAML file that ships beside the modules of a package."""
+    return parse_yaml((resources.files(package) / name).read_text(encoding="utf-8"), name)
+
+
 def read_json(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> Any:
     """The content of a JSON file. InputError that names the file and `what` is expected."""
     return parse_json(read_text(path, what, max_bytes=max_bytes), str(path), max_values=max_bytes)
@@ -116,10 +122,8 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, bool):
-                raise _problem(
-                    key_node,
-                    f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name",
-                )
+                said = f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name"
+                raise _problem(key_node, said)
             if not isinstance(key, str):
                 raise _problem(key_node, f"the key {shown(key)} is not text; in quotes it is a name")
             if key in taken:
@@ -203,6 +207,10 @@ def _whole(digits: str) -> int:
     return int(digits)
 
 
+#: NUL, and the halves of surrogate pairs.
+_UNWRITABLE = re.compile("[\0\ud800-\udfff]")
+
+
 # --- both -------------------------------------------------------------------------------------------------------------
 def _too_deep(where: str) -> InputError:
     return InputError(f"{where}: nested too deep; at most {DEPTH} tables and lists stand inside each other")
@@ -224,15 +232,7 @@ def _check(data: Any, where: str, max_values: int) -> None:
             inner = value if isinstance(value, list) else [*value, *value.values()]
             waiting += [(each, depth + 1) for each in inner]
         elif isinstance(value, str):
-            if "\0" in value or (not value.isascii() and _unwritable(value)):
+            if _UNWRITABLE.search(value):
                 raise InputError(f"{where}: the text {shown(value)} holds a character that cannot be written")
         elif isinstance(value, int) and abs(value) >= 10**DIGITS:
             raise InputError(f"{where}: the whole number {shown(value)} has more than {DIGITS} digits")
-
-
-def _unwritable(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return True
-    return False

@@ -40,60 +40,31 @@ class Unit:
     offset: float = 0.0
 
 
-def _table(*rows: tuple[str, str, float] | tuple[str, str, float, float]) -> dict[str, Unit]:
-    return {row[0]: Unit(*row) for row in rows}
-
-
-UNITS: dict[str, Unit] = _table(
-    ("s", "time", 1.0),
-    ("ms", "time", MILLISECOND),
-    ("us", "time", 1.0e-6),
-    ("min", "time", 60.0),
-    ("h", "time", 3600.0),
-    ("rad/s", "angular speed", 1.0),
-    ("rpm", "angular speed", RPM),
-    ("deg/s", "angular speed", DEGREE),
-    ("Hz", "angular speed", REVOLUTION),
-    ("rad", "angle", 1.0),
-    ("deg", "angle", DEGREE),
-    ("rev", "angle", REVOLUTION),
-    ("m/s", "linear speed", 1.0),
-    ("mm/s", "linear speed", MILLIMETRE),
-    ("m/min", "linear speed", 1.0 / 60.0),
-    ("m", "length", 1.0),
-    ("mm", "length", MILLIMETRE),
-    ("um", "length", MICROMETRE),
-    ("in", "length", 0.0254),
-    ("V", "voltage", 1.0),
-    ("mV", "voltage", 1.0e-3),
-    ("A", "current", 1.0),
-    ("mA", "current", MILLIAMPERE),
-    ("Pa", "pressure", 1.0),
-    ("kPa", "pressure", 1.0e3),
-    ("MPa", "pressure", 1.0e6),
-    ("bar", "pressure", BAR),
-    ("mbar", "pressure", 100.0),
-    ("psi", "pressure", 6894.757293168361),
-    ("m3/s", "flow", 1.0),
-    ("l/min", "flow", LPM),
-    ("l/s", "flow", 1.0e-3),
-    ("m3/h", "flow", 1.0 / 3600.0),
-    ("GPM", "flow", GPM),
-    ("N m", "torque", 1.0),
-    ("kN m", "torque", 1.0e3),
-    ("N", "force", 1.0),
-    ("kN", "force", 1.0e3),
-    ("K", "temperature", 1.0),
-    ("degC", "temperature", 1.0, ZERO_CELSIUS),
-    ("degF", "temperature", 5.0 / 9.0, ZERO_CELSIUS - 32.0 * 5.0 / 9.0),
-    ("m2", "area", 1.0),
-    ("mm2", "area", 1.0e-6),
-    ("cm2", "area", 1.0e-4),
-    ("m3/rad", "displacement", 1.0),
-    ("cm3/rev", "displacement", 1.0e-6 / REVOLUTION),
-    ("fraction", "fraction", 1.0),
-    ("percent", "fraction", 1.0e-2),
-)
+#: Size in SI, by the quantity.
+_SCALES: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": MILLISECOND, "us": 1.0e-6, "min": 60.0, "h": 3600.0},
+    "angular speed": {"rad/s": 1.0, "rpm": RPM, "deg/s": DEGREE, "Hz": REVOLUTION},
+    "angle": {"rad": 1.0, "deg": DEGREE, "rev": REVOLUTION},
+    "linear speed": {"m/s": 1.0, "mm/s": MILLIMETRE, "m/min": 1.0 / 60.0},
+    "length": {"m": 1.0, "mm": MILLIMETRE, "um": MICROMETRE, "in": 0.0254},
+    "voltage": {"V": 1.0, "mV": 1.0e-3},
+    "current": {"A": 1.0, "mA": MILLIAMPERE},
+    "pressure": {"Pa": 1.0, "kPa": 1.0e3, "MPa": 1.0e6, "bar": BAR, "mbar": 100.0, "psi": 6894.757293168361},
+    "flow": {"m3/s": 1.0, "l/min": LPM, "l/s": 1.0e-3, "m3/h": 1.0 / 3600.0, "GPM": GPM},
+    "torque": {"N m": 1.0, "kN m": 1.0e3},
+    "force": {"N": 1.0, "kN": 1.0e3},
+    "temperature": {"K": 1.0, "degC": 1.0, "degF": 5.0 / 9.0},
+    "area": {"m2": 1.0, "mm2": 1.0e-6, "cm2": 1.0e-4},
+    "displacement": {"m3/rad": 1.0, "cm3/rev": 1.0e-6 / REVOLUTION},
+    "fraction": {"fraction": 1.0, "percent": 1.0e-2},
+}
+#: Zero of a unit in SI, where that is not zero.
+_OFFSETS = {"degC": ZERO_CELSIUS, "degF": ZERO_CELSIUS - 32.0 * 5.0 / 9.0}
+UNITS = {
+    name: Unit(name, quantity, scale, _OFFSETS.get(name, 0.0))
+    for quantity, scales in _SCALES.items()
+    for name, scale in scales.items()
+}
 
 # Other spellings found in headers, folded to lower case without blanks, dots and middle dots.
 _SPELLINGS = {

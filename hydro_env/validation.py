@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, check_known, shown
 
 #: What pydantic says, and what engineers do.
 _WORDS = {
@@ -74,9 +74,7 @@ class FileTable(BaseModel):
             return data
         if not isinstance(data, Mapping):
             raise ValueError(f"expected a table of `name: value` lines, found {shown(data)}")
-        for key in data:
-            if key not in cls.known_keys():
-                raise ValueError(f"unknown key {shown(key)}: {suggestion(key, cls.known_keys())}")
+        check_known("unknown key", data, cls.known_keys())
         return dict(data)
 
 
@@ -84,8 +82,7 @@ def known(what: str, names: Collection[str]) -> AfterValidator:
     """For a field with one of these names: `Annotated[str, known("scenario", SCENARIOS)]`."""
 
     def check(name: str) -> str:
-        if name not in names:
-            raise ValueError(f"unknown {what} {shown(name)}: {suggestion(name, names)}")
+        check_known(f"unknown {what}", [name], names)
         return name
 
     return AfterValidator(check)

@@ -120,12 +120,11 @@ def run(
 def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
-    own = [entry for entry in CONTROLLERS.values() if not entry.apart]
     files = [controllers_in(str(spec)) if str(spec).endswith(".py") else [spec] for spec in controllers]
     controllers = list(chain.from_iterable(files))
     if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
         return controllers
-    names = [entry.name for entry in own]
+    names = [entry.name for entry in CONTROLLERS.values() if not entry.apart]
     return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
 
 
@@ -237,13 +236,11 @@ def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:
     places: dict[str, Any] = {}
     for cell in cells:
         if cell.traces:
-            of_split = places.setdefault(cell.split, {})
-            of_split.setdefault(cell.scenario, {})[cell.name] = cell.traces
+            places.setdefault(cell.split, {}).setdefault(cell.scenario, {})[cell.name] = cell.traces
     if not places:
         return None
-    limit = float(
-        f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}"
-    )  # of the axis of the difference
+    # Of the axis of the difference.
+    limit = float(f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}")
     about = {"period_s": conditions.control_period, "limit_rpm": limit, "metric": TRACE_METRIC}
     return {**about, "splits": places}
 

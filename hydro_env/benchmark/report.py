@@ -87,9 +87,8 @@ def _texts(scores: dict[str, Any]) -> dict[tuple[str, ...], str]:
         if entry["metric"] == TRACE_METRIC:
             texts[*_place(entry), BETTER] = f"{entry['probability']:.0%}"
     for entry in scores["never_settled"]:
-        if (
-            entry["cases"] == scores["splits"][entry["split"]]
-        ):  # the number would be the length of the episode
+        # Where no case settled, the number would be the length of the episode.
+        if entry["cases"] == scores["splits"][entry["split"]]:
             texts[*_place(entry), SETTLING] = "never settled"
     return texts
 

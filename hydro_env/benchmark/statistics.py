@@ -90,8 +90,7 @@ def resampled(
     rank[order] = np.arange(sample.size)
     cut = sample.size // 4
     middle = np.sort(rank[drawn], axis=1, kind="stable")[:, cut : sample.size - cut]
-    means: Floats = np.mean(sample[order][middle], axis=1)
-    return means
+    return np.mean(sample[order][middle], axis=1)
 
 
 @lru_cache(maxsize=8)

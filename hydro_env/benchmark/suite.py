@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from hydro_env.errors import InputError, shown, suggestion
-from hydro_env.reading import parse_yaml, read_yaml
+from hydro_env.reading import read_yaml, shipped_yaml
 from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS
 from hydro_env.validation import Count, FileTable, checked, known
 
@@ -67,8 +66,7 @@ class Suite(FileTable):
 
 def shipped_suites() -> dict[str, Suite]:
     """The suites of the package by name."""
-    text = files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8")
-    tables = parse_yaml(text, "suite.yaml")
+    tables = shipped_yaml("hydro_env.benchmark", "suite.yaml")
     return {name: checked(Suite, {"name": name, **table}, "suite.yaml") for name, table in tables.items()}
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument, Context, Option
 
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
+from hydro_env.errors import InputError
 from hydro_env.files import write_text
 from hydro_env.limits import CORES, Limits
 from hydro_env.units import BAR
 
+#: Options that a case does not keep: they are of one call, or kept in another way.
+_OF_ONE_CALL = ("out", "case", "fit_logs", "sealed", "inspect", "effect_files", "jobs")
 FitLogs = Annotated[
     list[str] | None,
     Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
@@ -18,6 +23,16 @@ FitLogs = Annotated[
 HeldOut = Annotated[
     list[str] | None,
     Option("--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."),
+]
+OneDiagnosis = Annotated[Path | None, Option("--out", help="Folder to write to; created if needed.")]
+Dialogue = Annotated[
+    Path | None,
+    Option(metavar="DIR", help="Instead of --out: ask for experiments until sure. DIR keeps the case."),
+]
+Questions = Annotated[int, number("With --case: questions at most.", Limits(0, 20, whole=True))]
+SensorCosts = Annotated[
+    list[str] | None,
+    Option(metavar="NAME=COST", help="With --case: cost of a sensor in experiments (1); none: ask for none."),
 ]
 
 
@@ -38,7 +53,7 @@ def hide(
         float, number("Largest error of the model's base parameters.", Limits(0.0, 50.0, unit="%"))
     ] = 0.0,
     record: Annotated[
-        str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
+        str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures, motor_pressure.")
     ] = "setpoint,current,pressure,load",
     rate: Annotated[float, number("Rows per second.", Limits(10.0, 20_000.0))] = 1000.0,
     duration: Annotated[
@@ -68,7 +83,9 @@ def hide(
 
 
 def diagnose(
-    out: Out,
+    context: Context,
+    out: OneDiagnosis = None,
+    case: Dialogue = None,
     fit_logs: FitLogs = None,
     sealed: HeldOut = None,
     model: Model = "paper",
@@ -95,6 +112,8 @@ def diagnose(
     load_limit: Annotated[
         float | None, number("Its largest load. Default: that of the logs.", Limits(0.0, 1e6, unit="N m"))
     ] = None,
+    questions: Questions = 3,
+    sensor: SensorCosts = None,
     seed: Seed = 0,
 ) -> None:  # fmt: skip
     """Identify from logs what physics a model lacks.
@@ -102,24 +121,59 @@ def diagnose(
     Writes diagnosis.json, report.html, model.yaml and, where names stay open, next_experiment.csv; with --inspect only
     mapping.yaml, a proposal.
     """
+    if (out is None) == (case is None):
+        raise InputError("give either --out DIR for one diagnosis, or --case DIR for a dialogue")
+    from hydro_env.plant import load_effects
+
+    if out is None:
+        if inspect is not None:
+            raise InputError("--inspect shows a log without a case; give --out DIR with it")
+        load_effects(effect_files or [])
+        _dialogue(context)
+        return
     with writing(out) as folder:
         if inspect is not None:
-            from hydro_env.measured.inspect import shown
-
-            text, proposal = shown(inspect, mapping)
-            print(text)
-            if proposal:
-                write_text(folder / "mapping.yaml", proposal)
+            _inspect(inspect, mapping, folder)
             return
-        from hydro_env.diagnosis import Settings, command
-        from hydro_env.plant import load_effects
+        from hydro_env.diagnosis import command
 
         load_effects(effect_files or [])
-        settings = Settings(
-            seed=seed, command_limit=command_limit / 100.0, rate_limit=rate_limit, load_limit=load_limit,
-            pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
-        )  # fmt: skip
         command.run(
-            fit_logs or [], sealed or [], folder, model=model, mapping=mapping, jobs=jobs, settings=settings, steady=steady,
-            accept=accept or [],
+            fit_logs or [], sealed or [], folder, model=model, mapping=mapping, jobs=jobs, **_arguments(context.params)
         )  # fmt: skip
+
+
+def _inspect(log: str, mapping: str | None, folder: Path) -> None:
+    """Prints how a log would be read, and writes a proposal of its mapping."""
+    from hydro_env.measured.inspect import shown
+
+    text, proposal = shown(log, mapping)
+    print(text)
+    if proposal:
+        write_text(folder / "mapping.yaml", proposal)
+
+
+def _dialogue(context: Context) -> None:
+    """One call of a case. Code of effects is run only where it is named, so every call names it."""
+    from hydro_env.case import dialogue, folder
+
+    options = context.params
+    kept = {name: value for name, value in options.items() if name not in _OF_ONE_CALL}
+    given = {n for n in kept if getattr(context.get_parameter_source(n), "name", "DEFAULT") != "DEFAULT"}
+    kept["effects"] = [folder.sha256_of(Path(path)) for path in options["effect_files"] or []]
+    dialogue.run(
+        options["case"], options["fit_logs"] or [], options["sealed"] or [], kept, given | {"effects"}, jobs=options["jobs"],
+        arguments=_arguments,
+    )  # fmt: skip
+
+
+def _arguments(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `diagnose` from options of the command."""
+    from hydro_env.diagnosis import Settings
+
+    pressure = options["pressure_limit"]
+    settings = Settings(
+        seed=options["seed"], command_limit=options["command_limit"] / 100.0, rate_limit=options["rate_limit"],
+        load_limit=options["load_limit"], pressure_limit=None if pressure is None else pressure * BAR,
+    )  # fmt: skip
+    return {"settings": settings, "steady": options["steady"], "accept": options["accept"] or []}

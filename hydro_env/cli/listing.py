@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import check_known
 from hydro_env.files import output_folder, to_json, write_json
 
 SCHEMA = "hydro_env/list/1"
@@ -27,8 +27,7 @@ def list_names(
 
     Each with a line of what it is. Takes no --out unless list.json is wanted.
     """
-    if kind is not None and kind not in KINDS:
-        raise InputError(f"unknown kind {kind!r}: {suggestion(kind, KINDS)}")
+    check_known("unknown kind", () if kind is None else (kind,), KINDS)
     found = {name: entries() for name, entries in KINDS.items() if kind in (None, name)}
     data = {"schema": SCHEMA, **found}
     if out is not None:

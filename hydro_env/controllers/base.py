@@ -14,7 +14,7 @@ from hydro_env.controllers.estimation.nominal import SPOOL_RATE
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, check_known
 from hydro_env.plant import PAPER, PARAMETERS, Scales, scales_of
 from hydro_env.units import RPM
 
@@ -22,18 +22,9 @@ if TYPE_CHECKING:
     from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
-    "FRACTION_PER_V",
-    "OUTPUT_SHAPING",
-    "RPM",
-    "SHAPE",
-    "SLEW",
-    "Bools",
-    "Controller",
-    "Floats",
-    "Gain",
-    "Measurements",
+    "FRACTION_PER_V", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "Bools", "Controller", "Floats", "Gain", "Measurements",
     "Rows",
-]
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -117,9 +108,7 @@ class Controller:
         known = [gain.name for gain in self.GAINS]
         optional = {gain.name: gain.default for gain in self.GAINS if gain.default is not None}
         gains = {**optional, **gains}
-        for key in gains:
-            if key not in known:
-                raise InputError(f"{self.name}: unknown gain {key!r}: {suggestion(key, known)}")
+        check_known(f"{self.name}: unknown gain", gains, known)
         missing = [key for key in known if key not in gains]
         if missing:
             raise InputError(f"{self.name}: gain {missing[0]!r} is missing; needed are {', '.join(known)}")

@@ -25,7 +25,7 @@ from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, Prob
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
-from hydro_env.errors import InputError, place_of, shown, suggestion
+from hydro_env.errors import InputError, located, place_of, shown, suggestion
 
 HERE = Path(__file__).parent
 
@@ -195,14 +195,12 @@ def _from_gains(path: Path, name: str, trust: bool = False) -> Controller:
         raise InputError(
             f"{path}: are gains of {shown(found.controller)}, code that would be run; with --trust it is"
         )
-    try:
+    with located(path):
         law = law_of(_beside(path, found.controller))
         controller: Controller = _made(lambda: law(found.name or name, **found.gains), found.controller)
         controller.for_periods(found.by_period())
         controller.plant = found.plant or None
         return controller
-    except InputError as problem:
-        raise InputError(f"{path}: {problem}") from None
 
 
 def _beside(path: Path, law: str) -> str:

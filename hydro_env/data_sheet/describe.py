@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from hydro_env.data_sheet.simulated import dynamics_of, motor_figures, rig_figur
 from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import PlantModel, parameter_of, scales_of
-from hydro_env.reading import parse_yaml
+from hydro_env.reading import shipped_yaml
 
 SCHEMA = "hydro_env/describe/1"
 #: Relative deviation of the simulated from the given figure that is marked, and what is never marked, in the figure's unit.
@@ -206,8 +205,7 @@ def _ranges(
 
 def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
     """Where each value is from: how, and from which keys of the sheet and which assumptions."""
-    text = files(__package__).joinpath("sources.yaml").read_text(encoding="utf-8")
-    words = parse_yaml(text, "sources.yaml")
+    words = shipped_yaml(__package__, "sources.yaml")
     texts: dict[str, dict[str, None]] = {}
     for c in channels:
         nominal = c.parameters

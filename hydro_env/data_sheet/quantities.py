@@ -10,12 +10,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 from hydro_env.data_sheet.derive import full_flow
 from hydro_env.data_sheet.sheet import DataSheet, Lines, Motor, Supply, Valve
-from hydro_env.reading import parse_yaml
+from hydro_env.reading import shipped_yaml
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,7 @@ _RULE = "class value, assumed"
 @cache
 def _classes() -> Any:
     """Value, low and high of each quantity by component and kind."""
-    text = files(__package__).joinpath("class_values.yaml").read_text(encoding="utf-8")
-    return parse_yaml(text, "class_values.yaml")
+    return shipped_yaml(__package__, "class_values.yaml")
 
 
 class _Known(dict[str, Quantity]):

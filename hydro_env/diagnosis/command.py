@@ -18,11 +18,12 @@ from .workflow import diagnose
 
 def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, jobs: int | None = None,
-    quiet: bool = False, **options: Any,
+    quiet: bool = False, summary: bool = True, **options: Any,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
+    """Diagnoses with a progress bar, prints a `summary` of about twenty lines, and writes diagnosis.json, report.html and
+    model.yaml to `out`.
 
-    `jobs` threads (None: one for every core that this process may use), other options as in `diagnose`.
+    `jobs` threads (None: one for every core that this process may use), `quiet`: prints nothing, other options as in `diagnose`.
     """
     from loky import cpu_count
     from tqdm import tqdm
@@ -39,7 +40,7 @@ def run(
         found = diagnose(fit_logs, sealed, jobs=jobs or cpu_count(), progress=progress, **options)
         bar.set_description("writing the report")
         write(found, Path(out))
-    if not quiet:
+    if summary and not quiet:
         with beside_results(Path("the summary")):
             print(found.summary())
     return found

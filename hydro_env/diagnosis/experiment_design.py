@@ -190,11 +190,17 @@ def _scale(fit: Fit, models: Collection[Estimate], channel: int, signal: str) ->
 @dataclass(frozen=True)
 class Trial:
     """Experiments on the models: what each question's models answer, what each channel's estimate would still leave open of the
-    held-out logs, and which channels stay below the pressure limit."""
+    held-out logs, and which channels stay below the pressure limit. `more`: signals that are logged besides."""
 
     fit: Fit
     questions: Sequence[Question]
     operations: Mapping[int, Operation] = field(default_factory=dict)
+    more: Sequence[str] = ()
+
+    @property
+    def signals(self) -> list[str]:
+        """The signals that are logged."""
+        return [*self.fit.rig.signals, *self.more]
 
     @cached_property
     def _requests(self) -> list[list[Request]]:
@@ -240,14 +246,14 @@ class Trial:
                 peak = np.abs(values[:, pressure]).max(axis=-1)
                 # A comparison with NaN is false: what diverges is not allowed either.
                 allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
-        places = [[*UNITS].index(signal) for signal in rig.signals]
+        places = [[*UNITS].index(signal) for signal in self.signals]
         each = ({c: v[:, places] for c, v in table.items()} for table in every)
         grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
         return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
     def _scales(self, models: Collection[Estimate], channel: int) -> Array:
         """What cannot be known of each signal (signals, 1)."""
-        return np.array([[_scale(self.fit, models, channel, signal)] for signal in self.fit.rig.signals])
+        return np.array([[_scale(self.fit, models, channel, signal)] for signal in self.signals])
 
     def _left(self, channel: int, table: Array) -> Array:
         """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
@@ -261,6 +267,12 @@ class Trial:
             off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
+
+    def distances(self, experiment: Array) -> dict[tuple[str, str], float]:
+        """How far the models of each pair are apart in an experiment (T, 2, 2), RMS in units of what is not known."""
+        return {
+            pair: float(np.sqrt(d[0])) for each in self.run(experiment[None])[0] for pair, d in each.items()
+        }
 
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
@@ -293,7 +305,7 @@ def _without_effects(estimate: Estimate) -> Estimate:
 
 def _part(experiment: Array, model: PlantModel, number: int) -> Part:
     """A log of an experiment in which every signal is asked for."""
-    names = ("speed", "current", "pressure", "spool", "flow", "pressure_a", "pressure_b")
+    names = ("speed", "current", "pressure", "spool", "flow", "pressure_a", "pressure_b", "motor_pressure")
     asked: dict[str, Any] = dict.fromkeys(names, np.zeros(experiment.shape[:2]))
     time, command = np.arange(len(experiment)) * PERIOD, experiment[..., 0] * np.array(model.pair("u_rated"))
     log = RigLog(time, command, load=experiment[..., 1], name=str(number), **asked)

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError, shown, suggestion
+from ..errors import InputError, check_known, shown
 from ..limits import Limits
 from ..plant import Plant, PlantModel, load_model, scales_of
 from ..plant.plant import machine_memory
@@ -163,8 +163,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """The rigs. A model with a method `make_plant` is of something else, simulated by code of its own: what that makes has
         all of `Plant` that is used here, with `lost` empty where it does not say what it could not follow."""
         if hasattr(self.model, "make_plant"):
-            foreign: Plant = self.model.make_plant(self.num_envs, self.dtype)
-            return foreign
+            return self.model.make_plant(self.num_envs, self.dtype)
         return Plant(self.model, self.num_envs, effects=effects, tolerance=self._tolerance, dtype=self.dtype)
 
     def _levels(self, noise: Noise) -> Floats:
@@ -223,9 +222,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                 f"reset: options is {shown(options)}, expected a mapping of {', '.join(OPTIONS)}"
             )
         read = dict(options or {})
-        for key in read:
-            if key not in OPTIONS:
-                raise InputError(f"reset: unknown option {shown(key)}: {suggestion(key, OPTIONS)}")
+        check_known("reset: unknown option", read, OPTIONS)
         if "scenario" in read:
             read["scenario"] = load_scenario(read["scenario"], self.scales)
         if "mismatch" in read:

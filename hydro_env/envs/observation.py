@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown, suggestion
+from ..errors import InputError, check_known, shown
 from ..limits import Limits
 from ..plant import PAPER, Scales
 from ..plant.sensors import NOISE as SENSORS
@@ -67,12 +67,10 @@ class Measurements:
         """The measurements of the same motion on a rig that is smaller by these scales."""
         if rig == PAPER:
             return self
-        speed, current, pressure = (
-            self.speed / rig.speed,
-            self.current / rig.current,
-            self.pressure / rig.pressure,
+        current, pressure = self.current / rig.current, self.pressure / rig.pressure
+        return Measurements(
+            self.setpoint / rig.speed, self.speed / rig.speed, current, pressure, self.command
         )
-        return Measurements(self.setpoint / rig.speed, speed, current, pressure, self.command)
 
 
 def scales_on(rig: Scales) -> Floats:
@@ -126,8 +124,7 @@ def noise_levels(noise: Noise, rig: Scales = PAPER, end: int = 0) -> Floats:
     levels = {key: sizes[key] * value for key, value in NOISE.items()}
     if isinstance(noise, Mapping):
         for key, value in noise.items():
-            if key not in levels:
-                raise InputError(f"noise: unknown key {shown(key)}: {suggestion(key, levels)}")
+            check_known("noise: unknown key", [key], levels)
             levels[key] = _level(value, f"noise: {key}", end)
     else:
         factor = _level(noise, "noise", end)

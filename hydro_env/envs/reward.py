@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown, suggestion
+from ..errors import InputError, check_known, shown
 from ..limits import Limits
 
 WEIGHT = Limits(0.0, 1e6)
@@ -49,9 +49,8 @@ def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
         return source
     if not isinstance(source, Mapping):
         raise InputError(f"reward: expected a mapping of weights or a function, found {shown(source)}")
-    known, weights = [each.name for each in fields(Reward)], asdict(Reward())
+    weights = asdict(Reward())
     for key, value in source.items():
-        if key not in known:
-            raise InputError(f"reward: unknown weight {shown(key)}: {suggestion(key, known)}")
+        check_known("reward: unknown weight", [key], weights)
         weights[key] = WEIGHT.check(value, f"reward: {key}")
     return Reward(**weights)

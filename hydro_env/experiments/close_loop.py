@@ -25,7 +25,7 @@ import numpy as np
 
 from hydro_env.controllers import make_controller
 from hydro_env.diagnosis import diagnose
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, check_known
 from hydro_env.experiments import close_loop_tuning as tuning
 from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, table
 from hydro_env.experiments.closed_loop_reference import drive
@@ -203,9 +203,7 @@ class Settings:
     generations: int = tuning.GENERATIONS
 
     def __post_init__(self) -> None:
-        for case in self.cases:
-            if case not in CASES:
-                raise InputError(f"unknown case {case!r}: {suggestion(case, CASES)}")
+        check_known("unknown case", self.cases, CASES)
         if self.seeds < 1 or self.seed < 0 or self.seed + self.seeds > 100:
             raise InputError(f"seeds {self.seed} to {self.seed + self.seeds - 1}: 0 to 99 are right")
 

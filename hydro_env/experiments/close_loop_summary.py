@@ -81,15 +81,9 @@ def table(data: Mapping[str, Any]) -> str:
         for scenario in dict.fromkeys(r["scenario"] for r in data["summary"]):
             largest, rms, tracking = (by[name, shipped, scenario, metric] for metric in METRICS)
             sources = ("none",) if shipped else SOURCES
-            cells = [
-                f"{name} as shipped" if shipped else name,
-                scenario,
-                *(_shown(largest[s]) for s in sources),
-            ]
-            if shipped:
-                cells += [""] * 4
-            else:
-                cells += [_change(largest), f"{largest['better']} of {largest['n']}"]
+            titled = f"{name} as shipped" if shipped else name
+            cells = [titled, scenario, *(_shown(largest[s]) for s in sources)]
+            cells += [""] * 4 if shipped else [_change(largest), f"{largest['better']} of {largest['n']}"]
             cells += [", ".join(f"{row[s]['mean']:.1f}" for s in sources) for row in (rms, tracking)]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -16,10 +16,12 @@ import numpy as np
 
 from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return, Run, Statement, Store, Table
 from ..ir.reader import Reader
+from .templates import template
 
 #: C types of kinds of numbers.
 TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
-_BINARY = {
+#: How operations on two numbers are written between them.
+BINARY = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
     "and": "&&", "or": "||",
 }  # fmt: skip
@@ -30,23 +32,7 @@ RESERVED = frozenset((
     "y0", "y1", "yn", "j0", "j1", "jn", "gamma", "exp", "tanh", "sin", "cos",
 ))  # fmt: skip
 #: Python's `%` and `//` of whole numbers, its `min` and `max`, and the like.
-_HELPERS = (
-    "static inline int py_mod(int a, int b) { int r = a % b; return r != 0 && (r < 0) != (b < 0) ? r + b : r; }\n",
-    "static inline int py_div(int a, int b) { return (a - py_mod(a, b)) / b; }\n",
-    "static inline int py_min_int(int a, int b) { return b < a ? b : a; }\n",
-    "static inline int py_max_int(int a, int b) { return b > a ? b : a; }\n",
-    "static inline int py_abs_int(int a) { return a < 0 ? -a : a; }\n",
-    "static inline double py_sign(double a) { return (double)((a > 0.0) - (a < 0.0)); }\n",
-    """static inline int py_argmin(const double *a, int n) {
-    int i, found = 0;
-    for (i = 1; i < n; i++)
-        if (a[i] < a[found]) found = i;
-    return found;
-}
-""",
-    "static inline double py_min(double a, double b) { return b < a ? b : a; }\n",
-    "static inline double py_max(double a, double b) { return b > a ? b : a; }\n",
-)
+_HELPERS = [f"{each}\n" for each in template("helpers.c").template.rstrip().split("\n\n")]
 
 
 def literal(value: float | int | bool, kind: str) -> str:
@@ -93,8 +79,8 @@ def expression(x: Expr) -> str:
     texts = [expression(each) for each in x.args]
     if x.op == "load":
         return f"{x.value}[{bare(texts[0])}]"
-    if x.op in _BINARY:
-        return f"({texts[0]} {_BINARY[x.op]} {texts[1]})"
+    if x.op in BINARY:
+        return f"({texts[0]} {BINARY[x.op]} {texts[1]})"
     inside = ", ".join(map(bare, texts))
     match x.op:
         case "address":

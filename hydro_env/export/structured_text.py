@@ -17,6 +17,7 @@ from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
 
+from .c_printer import BINARY as IN_C
 from .c_printer import bare, identifier
 from .names import Names, pascal
 from .schedule import Schedule
@@ -25,10 +26,7 @@ from .templates import template
 from .tracing import GAIN, MEASURED, Program, divisors
 
 _TYPES = {"bool": "BOOL", "int": "DINT", "float": "REAL", "double": "LREAL"}
-_BINARY = {
-    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "=", "ne": "<>",
-    "and": "AND", "or": "OR",
-}  # fmt: skip
+_BINARY = IN_C | {"eq": "=", "ne": "<>", "and": "AND", "or": "OR"}
 _CALLED = {
     "abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS", "max": "MAX", "min": "MIN",
 }  # fmt: skip

@@ -11,9 +11,10 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import operator
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import compress
@@ -56,11 +57,7 @@ _MATH = {
     **dict.fromkeys(("abs", "min", "max"), True),
     **dict.fromkeys(("sqrt", "floor", "exp", "tanh", "cos", "sin", "fma", "hypot", "expm1", "log", "sign"), False),
 }  # fmt: skip
-_WHOLE: dict[str, Callable[[Any, Any], Any]] = {
-    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "floordiv": lambda a, b: a // b,
-    "mod": lambda a, b: a % b, "lt": lambda a, b: a < b, "le": lambda a, b: a <= b, "gt": lambda a, b: a > b,
-    "ge": lambda a, b: a >= b, "eq": lambda a, b: a == b, "ne": lambda a, b: a != b,
-}  # fmt: skip
+_WHOLE = frozenset({"add", "sub", "mul", "floordiv", "mod", "lt", "le", "gt", "ge", "eq", "ne"})
 
 
 class TranslationError(TypeError):
@@ -632,7 +629,7 @@ class _Body:
             return op(name, a, b)
         whole = all(x.kind in ("int", "bool") for x in numbers)
         if None not in (a.known, b.known) and name in _WHOLE and (whole or name in _COMPARED.values()):
-            found = constant_of(_WHOLE[name](a.known, b.known))
+            found = constant_of(getattr(operator, name)(a.known, b.known))
             assert found is not None
             return found
         return op(name, a, b, kind="double" if name == "div" and whole else "")

@@ -126,6 +126,7 @@ class Channel(FileTable):
     flow: Input | None = None
     pressure_a: Input | None = None
     pressure_b: Input | None = None
+    motor_pressure: Input | None = None
 
     @model_validator(mode="after")
     def _units_fit(self) -> Channel:
@@ -208,8 +209,7 @@ class Link(FileTable):
 
     def frozen_after(self, key: str) -> float:
         """How long a signal may repeat itself under command, s."""
-        source = self.inputs[key]
-        return source.frozen_s or (FROZEN_S if key.startswith("speed") else math.inf)
+        return self.inputs[key].frozen_s or (FROZEN_S if key.startswith("speed") else math.inf)
 
     @property
     def stop_s(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf
 
@@ -12,6 +12,7 @@ from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog
 from hydro_env.measured.mapping import LINES, USUAL_UNITS, Mapped, Mapping, quantity_of
 from hydro_env.measured.samples import MEASURED
+from hydro_env.reading import shipped_yaml
 from hydro_env.units import BAR, RPM, from_si
 
 _VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
@@ -26,35 +27,18 @@ class _Size:
     some peak on; only if the signal was read as one of some units, or only while the axis moves. `right` is the unit that a
     mapping would have to say, by the one that it says."""
 
-    signals: tuple[str, ...]
-    low: float
-    high: float
+    signals: list[str]
     guess: str
+    low: float = 0.0
+    high: float = inf
     sure: float = inf
-    read_as: tuple[str, ...] = ()
+    read_as: Sequence[str] = ()
     moves: bool = False
     kind: str = ""
     right: dict[str, str] = field(default_factory=dict)
 
 
-_PRESSURES = ("pressure", "supply", *LINES)
-#: The first that fits counts. Valves to ISO 4401 are rated for 350 bar, the strongest pumps and motors in common use for 420 bar.
-_SIZES = (
-    _Size(_PRESSURES, 420.0, 60_000.0, "in kPa, psi or Pa", sure=2000.0, right={"bar": "kPa"}),
-    _Size(_PRESSURES, 60_000.0, inf, "in kPa, psi or Pa", sure=2000.0, right={"bar": "Pa"}),
-    _Size(("supply",), 0.0, 5.0, "in MPa", right={"bar": "MPa"}),
-    _Size(("pressure",), 0.0, 0.7, "in bar", read_as=("kPa", "mbar", "Pa"), moves=True),
-    _Size(("pressure",), 0.0, 0.7, "in MPa or 1000 psi", moves=True),
-    _Size(("speed",), 5.0, inf, "in mm/s", sure=50.0, kind="cylinder", right={"m/s": "mm/s"}),
-    _Size(("speed",), 6000.0, inf, "in rpm", read_as=("rad/s", "Hz"), kind="motor"),
-    _Size(("speed",), 6000.0, inf, "in deg/s", kind="motor"),
-    _Size(("speed",), 0.0, 80.0, "in rad/s, or is the motion slow", kind="motor"),
-    _Size(("command",), 200.0, inf, "in mV", sure=2000.0, right={"V": "mV"}),
-    _Size(("command",), 99.5, 100.5, "in percent of full scale", read_as=("V",)),
-    _Size(("command",), 0.0, 1.05, "a fraction of full scale", read_as=("V",)),
-    _Size(("current",), 20.0, inf, "in mA", sure=100.0, right={"A": "mA"}),
-    _Size(("current",), 0.0, 0.005, "in A", moves=True, right={"mA": "A"}),
-)
+_SIZES = [_Size(**row) for row in shipped_yaml(__package__, "sizes.yaml")]
 
 
 def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:

@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, suggestion, to_install
+from hydro_env.errors import InputError, located, suggestion, to_install
 from hydro_env.measured.csv_file import Choose, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.mat5 import read_mat5
-from hydro_env.measured.table import Table, check_size, naming
+from hydro_env.measured.table import Table, check_size
 from hydro_env.reading import check_file
 
 #: What reads each column of an open file, by name.
@@ -44,7 +44,7 @@ def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> T
     check_file(path, "a log")
     packed = path.suffix == ".gz"
     ending = (path.with_suffix("").suffix if packed else path.suffix).lower()
-    with naming(path):
+    with located(path):
         try:
             if ending not in BINARY:
                 table = read_csv(path, choose, style or TableStyle())

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env.errors import located
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS
-from hydro_env.measured.table import check_size, naming
+from hydro_env.measured.table import check_size
 
 #: Signals that are held until the next row; everything else is sampled.
 HELD = ("command", "load", "setpoint")
@@ -41,6 +42,7 @@ class RigLog:
     flow: np.ndarray | None = None
     pressure_a: np.ndarray | None = None
     pressure_b: np.ndarray | None = None
+    motor_pressure: np.ndarray | None = None
     setpoint: np.ndarray | None = None
     supply: np.ndarray | None = None
     temperature: np.ndarray | None = None
@@ -155,7 +157,7 @@ class RigLog:
         """Where the rows are on an even grid, in steps (T,), and the first time and number of points of that grid."""
         period = self.period
         span = self.time_s[-1] - self.time_s[0]
-        with naming(self.name):
+        with located(self.name):
             check_size(int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
         number = (self.time_s - self.time_s[0]) / period
         # Rows lie about the grid, not behind it: its phase is the mean of theirs on the circle.

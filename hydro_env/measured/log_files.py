@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, nearest
+from ..errors import InputError, located, nearest
 from ..files import replacing
 from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
@@ -20,7 +20,7 @@ from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, c
 from .log import HELD, RigLog, field_of
 from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
 from .samples import MEASURED
-from .table import Table, naming
+from .table import Table
 
 #: The slope of a position is taken over at most so long, s: what the dynamics of such rigs leave.
 _SLOPE_S = 0.04
@@ -46,7 +46,7 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
     table = read_table(path, choose, given.table if given else None)
     if given is None:
         table.findings.extend(_unknown_columns(table))
-    with naming(path):
+    with located(path):
         log = _log_of(table, chosen[0])
     with open(path, "rb") as file:
         return replace(log, name=path.name, sha256=hashlib.file_digest(file, "sha256").hexdigest())

@@ -16,6 +16,7 @@ A mapping says for each signal which column holds it, in which unit, and with wh
       pressure: {column: pA, unit: bar, minus: {column: pB, unit: bar, scale: 0.61}}      # load pressure
       pressure_a: {column: pA, unit: bar}     # optional: both lines, above the tank's; a drives in the positive direction
       pressure_b: {column: pB, unit: bar}     # with both and no load pressure, that of a motor is a - b
+      motor_pressure: {column: pM, unit: bar} # optional: load pressure at the ports of the motor
       speed: {column: v, unit: mm/s, sign: -1}               # a unit of position (deg, rev, mm): its slope is the speed
 
 A column without a name, or with one that stands there twice, is called by its number: "1" is the first.
@@ -47,7 +48,7 @@ LINES = ("pressure_a", "pressure_b")
 CONTRACT = {
     "command": ("V", "V"), "current": ("A", "A"), "pressure": ("bar", "bar"), "speed": ("rpm", "rpm"),
     "load": ("Nm", "N m"), "spool": ("mm", "mm"), "flow": ("lpm", "l/min"), "pressure_a": ("bar", "bar"),
-    "pressure_b": ("bar", "bar"),
+    "pressure_b": ("bar", "bar"), "motor_pressure": ("bar", "bar"),
 }  # fmt: skip
 CONTRACT_RIG = {
     "setpoint": ("setpoint_rpm", "rpm"), "supply": ("supply_bar", "bar"), "temperature": ("temperature_C", "degC"),
@@ -188,6 +189,7 @@ class ChannelMapping(FileTable):
     flow: Source | None = None
     pressure_a: Source | None = None
     pressure_b: Source | None = None
+    motor_pressure: Source | None = None
 
     @property
     def size(self) -> float | None:
@@ -301,7 +303,12 @@ def contract_columns() -> dict[str, tuple[str, int | None, str]]:
     rig = {column: (signal, None, symbol) for signal, (column, symbol) in CONTRACT_RIG.items()}
     found: dict[str, tuple[str, int | None, str]] = {"time_s": ("time", None, "s")}
     found["setpoint_rpm"] = rig.pop("setpoint_rpm")
-    for group in (("command", "current", "pressure", "speed", "load"), ("spool", "flow"), LINES):
+    for group in (
+        ("command", "current", "pressure", "speed", "load"),
+        ("spool", "flow"),
+        LINES,
+        ("motor_pressure",),
+    ):
         for channel, signal in product((0, 1), group):
             ending, symbol = CONTRACT[signal]
             found[f"{signal}_{channel + 1}_{ending}"] = signal, channel, symbol

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 
 from hydro_env.errors import InputError
-from hydro_env.reading import parse_yaml
+from hydro_env.reading import shipped_yaml
 from hydro_env.units import Unit, unit
 
 _PLAIN = str.maketrans({"ö": "oe", "ü": "ue", "ä": "ae", "Ö": "Oe", "Ü": "Ue", "Ä": "Ae", "ß": "ss"})
@@ -20,8 +19,7 @@ _SEAMS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[A-Za-z])
 @cache
 def _known() -> tuple[dict[str, str], dict[str, str], list[str]]:
     """What the words of words.yaml mean, what its symbols mean, and the words that are found inside of others, longest first."""
-    text = files(__package__).joinpath("words.yaml").read_text(encoding="utf-8")
-    content = parse_yaml(text, "words.yaml")
+    content = shipped_yaml(__package__, "words.yaml")
     meaning = {word: meant for meant, text in content["words"].items() for word in text.split()}
     inside = sorted((word for word in meaning if len(word) > 3 and word != "last"), key=len, reverse=True)
     return meaning, content["symbols"], inside

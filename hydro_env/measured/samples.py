@@ -17,7 +17,7 @@ from hydro_env.measured.log import RigLog
 from hydro_env.measured.mapping import CONTRACT, Mapped
 from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
 
-MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
+MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b", "motor_pressure")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
 _LEVEL_ROWS = 0.38  # share of second differences below half a step, if those of noise and rounding are normal

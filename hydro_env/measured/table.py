@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -36,15 +33,6 @@ class Table:
         """The error for a column that cannot be used, because of sample `index` if that is given."""
         where = "" if index is None else f"row {self.row(index)}, "
         return InputError(f"{where}column {column!r}: {problem}")
-
-
-@contextmanager
-def naming(path: str | Path) -> Iterator[None]:
-    """Puts the file in front of every InputError: what reads a table says what is wrong, and here of which file."""
-    try:
-        yield
-    except InputError as problem:
-        raise InputError(f"{path}: {problem}") from None
 
 
 def check_size(values: int) -> None:

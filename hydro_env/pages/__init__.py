@@ -30,16 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "COLOURS",
-    "beside_results",
-    "figure",
-    "fill",
-    "import_in_background",
-    "legend",
-    "png",
-    "render",
-    "svg",
-]
+    "COLOURS", "beside_results", "figure", "fill", "import_in_background", "legend", "png", "render", "svg",
+]  # fmt: skip
 
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
 """Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""

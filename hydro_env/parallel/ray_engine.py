@@ -82,9 +82,7 @@ def _cluster() -> tuple[Any, bool]:
     try:
         _knock(address or _started_here())
         ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
-    except (
-        Exception
-    ) as problem:  # ConnectionError, RuntimeError, ValueError: as many as there are ways to fail
+    except Exception as problem:  # ConnectionError, RuntimeError, ValueError: as many as ways to fail
         ray.shutdown()
         where = f" at RAY_ADDRESS={address}" if address else ""
         raise InputError(

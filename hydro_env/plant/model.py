@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, check_known
 from ..files import write_text
 from ..units import RPM
 from .catalogue.effect import CATALOGUE, parameter_of
@@ -68,11 +68,7 @@ class PlantModel:
             if math.isnan(first) or math.isnan(second):
                 raise InputError(f"model {self.name!r}: {name} is not a number")
             clean[name] = (first, second)
-        for name in self.declared:
-            if name not in CATALOGUE:
-                raise InputError(
-                    f"model {self.name!r}: unknown effect {name!r}: {suggestion(name, CATALOGUE)}"
-                )
+        check_known(f"model {self.name!r}: unknown effect", self.declared, CATALOGUE)
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
         for name, _, wrong in wrong_values(self, clean):

@@ -38,7 +38,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from ..errors import InputError, InputWarning, shown, suggestion
+from ..errors import InputError, InputWarning, located, shown, suggestion
 from ..reading import parse_yaml, read_yaml
 from ..units import RPM
 from ..validation import FileTable, Number, NumberOrInfinity, checked
@@ -132,10 +132,8 @@ class _Draft:
     def unusual(self, channel: int) -> Iterator[tuple[str, Collection[str]]]:
         """What is unusual of a channel, and the values that it follows from."""
         of, valve = rated(self, channel), ("Kq", "alpha", "k", "R", "u_rated", "x_max")
-        speed, frequency = (
-            of["flow"] / of["displacement"],
-            math.sqrt(self.value("k", channel) / self.value("m", channel)),
-        )
+        speed = of["flow"] / of["displacement"]
+        frequency = math.sqrt(self.value("k", channel) / self.value("m", channel))
         seconds = of["inertia"] * speed / (of["displacement"] * of["pressure"])
         if not 20.0 <= speed / RPM <= 20000.0:
             yield f"the open valve turns the motor at {speed / RPM:.3g} rpm", ("D", *valve)
@@ -159,7 +157,7 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
     for side, valve in file.valves().items():
         draft.put_valve(_built_on(valve, f"{where}: {side}.valve", above), side)
     draft.declared += file.effects
-    try:
+    with located(where):
         for name, side, _, value in file.values():
             draft.put(name, side, value)
         places = {
@@ -177,8 +175,6 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
         model = PlantModel(
             base.name if file.name is None else file.name, pairs, tuple(draft.declared), tolerance, ranges
         )
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
     doubtful = {name for name, _, _, _ in file.values() if name not in file.sources}
     found = (one for channel in (0, 1) for one in draft.unusual(channel))
     questioned = {text: sorted(doubtful.intersection(names)) for text, names in found}
@@ -190,10 +186,8 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
 
 def _built_on(source: str, where: str, above: tuple[str, ...]) -> PlantModel:
     """The preset or model file that another one names as its base or valve."""
-    try:
+    with located(where):
         return _built(source, above)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def _built(source: str | Path | Mapping[str, Any], above: tuple[str, ...] = ()) -> PlantModel:

@@ -25,8 +25,8 @@ from .parameters import PARAMETERS
 
 #: Signals that can be read and recorded.
 #: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a
-#: supply pressure, else only what they add.
-SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
+#: supply pressure, else only what they add. `motor_pressure` (Pa) is the load pressure at the ports of the motor.
+SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure", "motor_pressure")
 
 #: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16, 32)
@@ -258,8 +258,7 @@ class Plant:
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
-            slots = other._ring.shape[1]
-            self._ring = np.zeros((len(self._memory), slots, 2 * kernel.half))
+            self._ring = np.zeros((len(self._memory), other._ring.shape[1], 2 * kernel.half))
             self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
         moving = kernel.num_rows if parameters else kernel.rows["load"] + 1

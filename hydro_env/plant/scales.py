@@ -13,49 +13,14 @@ from dataclasses import dataclass, replace
 from math import inf, log10
 from typing import TYPE_CHECKING, Protocol
 
+from ..reading import shipped_yaml
 from .parameters import PARAMETERS, SUPPLY_PRESSURE, Parameter
 
 if TYPE_CHECKING:
     from .catalogue import Effect
 
 #: What a unit is a product of, as powers of the fields of `Scales`. A quantity with another unit is the same on every rig.
-_DIMENSIONS: Mapping[str, Mapping[str, float]] = {
-    # command, coil and spool
-    "V": {"command": 1},
-    "A": {"current": 1},
-    "N": {"force": 1},
-    "m": {"travel": 1},
-    "m/s": {"travel": 1},
-    "N/A": {"force": 1, "current": -1},
-    "Ohm": {"command": 1, "current": -1},
-    "H": {"command": 1, "current": -1},
-    "N/m": {"force": 1, "travel": -1},
-    "N s/m": {"force": 1, "travel": -1},
-    "kg": {"force": 1, "travel": -1},
-    "m2/s": {"flow": 1, "travel": -1},
-    # line and motor
-    "Pa": {"pressure": 1},
-    "1/Pa": {"pressure": -1},
-    "1/MPa": {"pressure": -1},
-    "m3": {"displacement": 1},
-    "m3/rad": {"displacement": 1},
-    "m2": {"displacement": 2 / 3},
-    "m5": {"displacement": 5 / 3},
-    "m3/s": {"flow": 1},
-    "m3/(s Pa)": {"flow": 1, "pressure": -1},
-    "m3/(s Pa2)": {"flow": 1, "pressure": -2},
-    "m3/(rad Pa)": {"displacement": 1, "pressure": -1},
-    "Pa s2/m6": {"pressure": 1, "flow": -2},
-    # shaft
-    "rpm": {"flow": 1, "displacement": -1},
-    "rad/s": {"flow": 1, "displacement": -1},
-    "kg m2": {"inertia": 1},
-    "N m": {"displacement": 1, "pressure": 1},
-    "N m/rad": {"displacement": 1, "pressure": 1},
-    "N m s/rad": {"displacement": 2, "pressure": 1, "flow": -1},
-    "N m s2/rad2": {"displacement": 3, "pressure": 1, "flow": -2},
-    "m3 s/rad2": {"displacement": 2, "flow": -1},
-}
+_DIMENSIONS: Mapping[str, Mapping[str, float]] = shipped_yaml(__package__, "dimensions.yaml")
 #: Preferred numbers of a decade.
 _R10 = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)
 #: Fields of `Scales` that each valve has of its own.

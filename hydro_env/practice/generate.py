@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, check_known
 from ..files import write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
@@ -98,9 +98,7 @@ class PracticeSettings:
             ("runs", self.runs, RUNS), ("forms", [self.forms], (*FORMS, CATALOGUE_FORMS)),
         )  # fmt: skip
         for field_name, names, known in chosen:
-            for name in names:
-                if name not in known:
-                    raise InputError(f"{field_name}: unknown {name!r}: {suggestion(name, known)}")
+            check_known(f"{field_name}: unknown", names, known)
         for field_name, limits in _LIMITS.items():
             if getattr(self, field_name) is not None:
                 limits.check(getattr(self, field_name), field_name)

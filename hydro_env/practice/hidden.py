@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, check_known
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
 
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
@@ -50,8 +50,7 @@ def parse_effects(words: Iterable[str]) -> dict[str, str]:
     chosen: dict[str, str] = {}
     for word in words:
         name, _, channel = word.partition(":")
-        if name not in CATALOGUE:
-            raise InputError(f"unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
+        check_known("unknown effect", [name], CATALOGUE)
         of_rig = CATALOGUE[name].scope == "rig"
         channel = channel or ("rig" if of_rig else "both")
         if of_rig and channel != "rig":
@@ -100,8 +99,7 @@ def check_values(values: Mapping[str, float], effects: Mapping[str, str], given:
                 f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})"
             )
         known = {p.name: p for p in _usual(given, name, effects[name]).parameters}
-        if own not in known:
-            raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {suggestion(own, known)}")
+        check_known(f"{key}: effect {name!r} has no parameter", [own], known)
         p = known[own]
         if value != p.nominal and not p.low <= value <= p.high:
             raise InputError(

@@ -63,13 +63,14 @@ COLUMNS = {
     "flow": Column("lpm", 2, "flow", LPM, NOISE["flow_lpm"], 0.01),
     "pressure_a": Column("bar", 2, "pressure_a", BAR, NOISE["pressure_bar"], 0.01),
     "pressure_b": Column("bar", 2, "pressure_b", BAR, NOISE["pressure_bar"], 0.01),
+    "motor_pressure": Column("bar", 2, "motor_pressure", BAR, NOISE["pressure_bar"], 0.01),
 }
 #: What the units of columns measure, by which they grow with a rig; a command is written alike on every one.
 _MEASURES = {"rpm": "rad/s", "A": "A", "bar": "Pa", "Nm": "N m", "mm": "m", "lpm": "m3/s"}
 SENSORS = {name: column for name, column in COLUMNS.items() if column.signal}
 #: What may be recorded besides time, command and speed: columns by the name under which they are asked for.
 RECORDABLE: dict[str, tuple[str, ...]] = {
-    name: (name,) for name in ("setpoint", "current", "pressure", "load", "spool", "flow")
+    name: (name,) for name in ("setpoint", "current", "pressure", "load", "spool", "flow", "motor_pressure")
 }
 RECORDABLE["line_pressures"] = ("pressure_a", "pressure_b")
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, suggestion
+from ..errors import check_known
 
 Floats = NDArray[np.float64]
 
@@ -163,7 +163,5 @@ def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Float
     chosen = (
         [name for name in METRICS if name != "return" or trace.returns.size] if names is None else list(names)
     )
-    for name in chosen:
-        if name not in METRICS:
-            raise InputError(f"unknown metric {name!r}: {suggestion(name, METRICS)}")
+    check_known("unknown metric", chosen, METRICS)
     return {name: METRICS[name].of(trace) for name in chosen}

@@ -21,7 +21,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
-from ..errors import InputError, InputWarning, shown, suggestion
+from ..errors import InputError, InputWarning, check_known, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
-from ..reading import parse_yaml, read_yaml
+from ..reading import read_yaml, shipped_yaml
 from ..streams import Component, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked, known
@@ -402,8 +401,7 @@ def _check_bounds(name: str, pair: tuple[float, float]) -> None:
     """InputError for an unknown parameter, and for a value that no component has."""
     if name not in SENSOR_PARAMETERS:
         if name.startswith("speed_sensor."):
-            hint = suggestion(name, SENSOR_PARAMETERS)
-            raise InputError(f"the speed sensor has no such parameter: {hint}")
+            raise InputError(f"the speed sensor has no such parameter: {suggestion(name, SENSOR_PARAMETERS)}")
         PlantModel(values={name: pair})
     elif min(pair) < 0.0:
         raise InputError(f"{min(pair):g} is below zero")
@@ -417,9 +415,7 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
         own = {"parameters": own}
     given = own["parameters"]
     if base is not None:
-        if not isinstance(base, str) or base not in _SHIPPED:
-            hint = suggestion(base, _SHIPPED)
-            raise InputError(f"{where}: base: unknown split or pair {shown(base)}: {hint}")
+        check_known(f"{where}: base: unknown split or pair", [base], list(_SHIPPED))
         inherited = _SHIPPED[base]["parameters"]
         own = {**_SHIPPED[base], **own}
         own["parameters"] = {**inherited, **given} if isinstance(given, Mapping) else given
@@ -453,8 +449,7 @@ def _rig_parameters() -> frozenset[str]:
 
 def _read_package() -> dict[str, Any]:
     """The content of `splits.yaml` by name, from which `SPLITS` and `NAMED_PAIRS` are filled."""
-    text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
-    data = parse_yaml(text, "splits.yaml")
+    data = shipped_yaml(__package__, "splits.yaml")
     pairs = {name: {"parameters": what} for name, what in data["pairs"].items()}
     for read, tables in ((SPLITS, data["splits"]), (NAMED_PAIRS, pairs)):
         for name, what in tables.items():

@@ -20,27 +20,14 @@ from numpy.typing import NDArray
 
 from ..plant import CATALOGUE, PARAMETERS, PlantModel, parameter_of
 from ..plant.scales import rated
+from ..reading import shipped_yaml
 from ..units import BAR, REVOLUTION, RPM
 
 Floats = NDArray[np.float64]
 
 PACE = "pace"
 #: What a rig is drawn by, and what it is.
-QUANTITIES = {
-    "size": "displacement of the motors, cm3/rev",
-    "supply": "supply pressure, bar",
-    "speed": "rated speed, over 5000 rpm at 2 cm3/rev, with the size to the power of -0.6",
-    "leakage": "leakage of the motor at the supply pressure, share of the rated flow",
-    "drag": "viscous torque at the rated speed, share of the torque at the supply pressure",
-    "load": "inertia, over that of a motor of this size alone",
-    "modulus": "bulk modulus, Pa",
-    "line": "half the volume of a line, over the displacement of a turn",
-    "coil": "time constant of the coil, s",
-    "frequency": "natural frequency of the spool, Hz",
-    "damping": "damping ratio of the spool",
-    "bristle": "travel at which the spool breaks loose, share of the rated travel",
-    "bristle_damping": "damping ratio of the spool on its bristles",
-}
+QUANTITIES: Mapping[str, str] = shipped_yaml(__package__, "rig_quantities.yaml")
 #: Parameters that follow from these.
 DERIVED = ("J", "B", "Km", "V", "L", "m", "C", "s0", "s1")
 #: Of quantities with these units, at the same speeds, flows and forces, the power to which they grow with the pace.
@@ -56,9 +43,8 @@ def rig_values(drawn: Mapping[str, Floats], Fs: Floats, model: PlantModel) -> di
     speed = np.clip(5000.0 * (q["size"] / 2.0) ** -0.6 * q["speed"], 100.0, 5000.0) * RPM
     inertia = (q["size"] / 500.0) ** (5.0 / 3.0) * q["load"]  # kg m2; 1 of a motor of 500 cm3/rev
     starts = inertia * speed / (size * q["supply"] * BAR)  # s to the rated speed
-    fills = (
-        q["line"] * REVOLUTION * q["supply"] * BAR / (q["modulus"] * speed)
-    )  # s of rated flow to the supply pressure
+    # Seconds of rated flow to the supply pressure.
+    fills = q["line"] * REVOLUTION * q["supply"] * BAR / (q["modulus"] * speed)
     travel, k, beta = own["travel"], model.value("k", 0), model.value("beta", 0)
     m = k / (2.0 * pi * q["frequency"]) ** 2
     s0 = Fs / (q["bristle"] * travel)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
-from ..errors import InputError, shown, suggestion
+from ..errors import InputError, check_known, shown
 from ..plant import PAPER, Scales
 from ..streams import Component, Streams
 from ..units import RPM
@@ -237,8 +237,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = P
     if isinstance(source, Scenario):
         return source.on(scales) if SCENARIOS.get(source.name) is source else source
     if isinstance(source, str):
-        if source not in SCENARIOS:
-            raise InputError(f"unknown scenario {shown(source)}: {suggestion(source, SCENARIOS)}")
+        check_known("unknown scenario", [source], SCENARIOS)
         return SCENARIOS[source].on(scales)
     if not isinstance(source, Mapping):
         raise InputError(

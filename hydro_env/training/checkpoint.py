@@ -56,8 +56,7 @@ def save(folder: Path, model: BaseAlgorithm, progress: dict[str, Any]) -> Path:
 
 def latest(folder: Path) -> Path | None:
     """The newest checkpoint, None if there is none."""
-    found = _all(folder)
-    return found[-1] if found else None
+    return next(reversed(_all(folder)), None)
 
 
 def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgorithm, dict[str, Any]]:

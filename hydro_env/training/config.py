@@ -239,5 +239,4 @@ def _config(path: Path, text: str) -> Config:
     table = checked(_with_arguments(data.training.algorithm), data.environment, where)
     hyper = {key: getattr(table, key) for key in data.environment if key not in _Environment.model_fields}
     hyper["policy_kwargs"] = table.policy_kwargs
-    env_kwargs = dict(table.env_kwargs)
-    return Config(path, text, table.n_envs, table.n_timesteps, env_kwargs, hyper, data.training)
+    return Config(path, text, table.n_envs, table.n_timesteps, dict(table.env_kwargs), hyper, data.training)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import check_known
 
 #: Their names, and what they train.
 RECIPES = {
@@ -21,6 +21,5 @@ FOLDERS = (PACKAGE / "training" / "recipes", PACKAGE.parent / "configs")
 
 def recipe(name: str) -> Path:
     """The training file of a name. InputError if there is none."""
-    if name not in RECIPES:
-        raise InputError(f"no recipe {name!r}: {suggestion(name, RECIPES)}")
+    check_known("no recipe", [name], RECIPES)
     return next(path for folder in FOLDERS if (path := folder / f"{name}.yml").is_file())

@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
-from hydro_env.files import naming, write_bytes
+from hydro_env.files import naming, write_text
 from hydro_env.sb3 import HydraulicSyncVecEnv
 from hydro_env.training import checkpoint
 from hydro_env.training.config import POLICY, Config
@@ -145,8 +145,7 @@ class Run(BaseCallback):
             self._export(self.out / "policy.npz", {**about, **times, "val": val})
         candidate.unlink()
         self.progress["evaluated"] = self.steps
-        text = json.dumps(self.progress["curve"], indent=1)
-        write_bytes(self.out / "curve.json", text.encode())
+        write_text(self.out / "curve.json", json.dumps(self.progress["curve"], indent=1))
         for name, value in scores.items():
             self.logger.record(f"val/{name}", value)
         self.logger.record("val/score", score)
@@ -215,7 +214,7 @@ def train(
             model = make_model(config)
             times = {"seconds": 0.0, "cpu_seconds": 0.0}
             progress = {"steps": 0, **times, "evaluated": 0, "best": float("inf"), "curve": []}
-            write_bytes(out / "config.yml", config.text.encode())
+            write_text(out / "config.yml", config.text)
         model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         run = Run(config, out, command, progress, bar, report)
         left = config.num_steps - model.num_timesteps

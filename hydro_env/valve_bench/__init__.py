@@ -20,19 +20,6 @@ from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import record, record_rigs
 
 __all__ = [
-    "Columns",
-    "Curve",
-    "Figures",
-    "Loop",
-    "RateCheck",
-    "Side",
-    "check_rates",
-    "distance",
-    "identify",
-    "loop_of",
-    "most_alike",
-    "read_curve",
-    "record",
-    "record_rigs",
-    "sides_of",
-]
+    "Columns", "Curve", "Figures", "Loop", "RateCheck", "Side", "check_rates", "distance", "identify", "loop_of",
+    "most_alike", "read_curve", "record", "record_rigs", "sides_of",
+]  # fmt: skip

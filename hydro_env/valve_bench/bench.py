@@ -92,8 +92,7 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
     with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
         for text, valve in models:
             swept = partial(record, valve.model, valve.channel, signal=how.signal, name=valve.name)
-            sweeps = [swept(seconds=seconds) for seconds in how.seconds]
-            tested.append(_tested(text, sweeps, valve))
+            tested.append(_tested(text, [swept(seconds=seconds) for seconds in how.seconds], valve))
             bar.update()
         for n, text in enumerate(files):
             period = (how.periods * len(files))[n] if how.periods else how.columns.sweep_period

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, located, suggestion
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
-from hydro_env.measured.table import Table, naming
+from hydro_env.measured.table import Table
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -59,7 +59,7 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
 
     table = read_table(path, choose, TableStyle(si_suffixes=True))
     ending = max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
-    with naming(path):
+    with located(path):
         curve = _curve(table, found, columns, name or path.name.removesuffix(ending))
     return replace(curve, findings=tuple(f"{path.name}: {each}" for each in curve.findings))
 

@@ -1,14 +1,17 @@
 """What becomes of a candidate."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.stages.candidates import is_neutral
 from hydro_env.plant import CATALOGUE
 from hydro_env.plant.scales import PAPER
+from hydro_env.practice.generate import make_practice
 
 
 @pytest.mark.parametrize(
@@ -35,3 +38,13 @@ def test_what_has_vanished_follows_the_size_of_the_rig() -> None:
             is_neutral(Estimate(0, [], np.zeros(0)).with_effect(large, {"bias": bias}), "load_bias")
             == neutral
         )
+
+
+def test_twins_that_no_usual_log_parts_are_both_named(tmp_path: Path) -> None:
+    """The refit of one of them may end in a local minimum: it is fitted again from where the other one ended."""
+    make_practice(["line_loss:1"], seed=650020, duration=4.0, rate=200.0, base_error=0.1).write(tmp_path)
+    logs = [tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"]
+    found = diagnose(logs, [tmp_path / "sealed.csv"], model=tmp_path / "model.yaml")
+    (named,) = found.effects
+    assert {named.name, *named.indistinguishable_from} == {"line_loss", "quadratic_drag"}
+    assert named.probability < 0.51

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis.input.checks import read_logs
 from hydro_env.diagnosis.input.parts import overlap, read_parts
 from hydro_env.errors import InputError
+from hydro_env.practice.generate import make_practice
 
 
 @pytest.fixture
@@ -48,3 +50,20 @@ def test_sealed_rows_must_not_be_fitted(log: Path) -> None:
     with pytest.raises(InputError, match="sealed but shares rows"):
         overlap(fit, sealed)
     overlap(fit, read_parts([f"{log}@2:4"], None))
+
+
+def test_signals_need_not_be_in_every_log(tmp_path: Path) -> None:
+    """One of a single fit log counts there; one of held-out logs alone has no known noise."""
+    for name, more in (("plain", []), ("more", ["spool", "motor_pressure"])):
+        record = ["current", "pressure", *more]
+        make_practice([], duration=3.0, rate=100.0, record=record, runs=("fit_1", "sealed")).write(
+            tmp_path / name
+        )
+    fit, rich, held_out = (
+        tmp_path / path for path in ("plain/fit_1.csv", "more/fit_1.csv", "more/sealed.csv")
+    )
+    parts, proofs = read_logs([fit], [held_out], None)
+    assert not proofs[0].log.has("spool", 0) and not proofs[0].log.has("motor_pressure", 1)
+    assert "spool of channel 1 is in no fit log" in parts[0].note
+    parts, proofs = read_logs([fit, rich], [held_out], None)
+    assert not parts[0].log.has("spool") and parts[1].log.has("spool") and proofs[0].log.has("spool")

@@ -18,6 +18,7 @@ from hydro_env.diagnosis.report import summary
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
 from hydro_env.diagnosis.report.statements import comment, remaining, sentence
+from hydro_env.diagnosis.stages.naming import UNKNOWN
 from hydro_env.diagnosis.stages.validation import Proofs
 from hydro_env.diagnosis.stages.values import Interval, KnownParameter
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
@@ -253,9 +254,8 @@ def test_the_terminal_names_known_parameters_to_check(
 
 
 def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:
-    extra = dataclasses.replace(
-        found.effects[0], name="directional_gain", probability=0.3, indistinguishable_from=["flow_saturation"]
-    )
+    shares = {"directional_gain": 0.3, "flow_saturation": 0.3, UNKNOWN: 0.4}
+    extra = dataclasses.replace(found.effects[0], name="directional_gain", shares=shares)
     text = sentence(dataclasses.replace(found, effects=[*found.effects, extra]))
     assert (
         "Perhaps also different flow gains" in text

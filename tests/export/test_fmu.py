@@ -154,6 +154,17 @@ def test_any_communication_step(units: list[Path], period: float) -> None:
 
 
 @needs_compiler
+def test_a_state_that_effects_share(tmp_path: Path) -> None:
+    """That of both line pressures, of an effect in no catalogue."""
+    model = load_model("paper").with_values({"case_drain.conductance": 1e-12})
+    unit, plant, rng = Unit(export_fmu(model, tmp_path).files[0]), Plant(model), np.random.default_rng(2)
+    for n, command in enumerate(rng.uniform(-60.0, 60.0, (20, 2))):
+        unit.step(n * PERIOD, command, (0.0, 0.0))
+        plant.step(command, 0.0, PERIOD)
+    assert np.array_equal(unit.signals(), of_plant(plant))
+    assert unit.get("lines.mean_pressure_1").any()
+
+
 def test_a_delayed_command(tmp_path: Path) -> None:
     (tmp_path / "late.yaml").write_text(LATE)
     path = export_fmu(load_model(tmp_path / "late.yaml"), tmp_path, (3,)).files[0]

@@ -20,6 +20,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hydro_env import cli
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import load_model, simulate
@@ -326,7 +328,7 @@ def test_a_channel_that_rests_is_left_out(tmp_path: Path, recorded: tuple[Column
     assert list(_diagnosis(tmp_path / "out")["gap"]["sealed"]) == ["speed_1_rpm"]
 
 
-def test_a_signal_that_only_some_fit_logs_have_is_left_out(
+def test_a_signal_that_only_some_fit_logs_have_counts_there(
     tmp_path: Path, recorded: tuple[Columns, Columns]
 ) -> None:
     names = [n for n in recorded[0] if "_2" not in n]
@@ -340,8 +342,8 @@ def test_a_signal_that_only_some_fit_logs_have_is_left_out(
         "diagnose", first, second, "--sealed", f"{sealed}@1:", "--steady", "--out", tmp_path / "out"
     )
     assert status == 0, text
-    said = _diagnosis(tmp_path / "out")["warnings"]
-    assert any("pressure of channel 1 is not in every fit log" in w and "second.csv" in w for w in said)
+    rig = DynamicRig(load_model("paper"), read_parts([first, second], None))
+    assert [s.signal for s in rig.segments[0]] == ["speed", "current", "pressure", "speed", "current"]
 
 
 # --- what is handled, and said

@@ -84,13 +84,14 @@ def test_a_written_log_reads_back(tmp_path: Path, log: RigLog, packed: bool) -> 
 
 def test_the_header_is_the_documented_one(tmp_path: Path) -> None:
     two = np.ones((3, 2))
-    log = RigLog(np.arange(3.0), *[two] * 9, np.ones(3), np.ones(3), np.ones(3))
+    log = RigLog(np.arange(3.0), *[two] * 10, np.ones(3), np.ones(3), np.ones(3))
     write_log(tmp_path / "log.csv", log)
     assert (tmp_path / "log.csv").read_text().splitlines()[0] == (
         "time_s,setpoint_rpm,command_1_V,current_1_A,pressure_1_bar,speed_1_rpm,load_1_Nm,"
         "command_2_V,current_2_A,pressure_2_bar,speed_2_rpm,load_2_Nm,"
         "spool_1_mm,flow_1_lpm,spool_2_mm,flow_2_lpm,"
-        "pressure_a_1_bar,pressure_b_1_bar,pressure_a_2_bar,pressure_b_2_bar,supply_bar,temperature_C"
+        "pressure_a_1_bar,pressure_b_1_bar,pressure_a_2_bar,pressure_b_2_bar,motor_pressure_1_bar,motor_pressure_2_bar,"
+        "supply_bar,temperature_C"
     )
 
 

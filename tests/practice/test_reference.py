@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_env.errors import InputError
-from hydro_env.plant import BUILT_IN, CATALOGUE, load_model
+from hydro_env.plant import BUILT_IN, CATALOGUE, load_model, simulate
 from hydro_env.practice.reference import REFERENCE_SIGNALS, ReferenceRig, simulate_reference
 from tests.golden import typical
 
@@ -120,6 +120,24 @@ def test_end_stops_hold():
     command = np.repeat(73.0 * np.random.default_rng(3).choice([-1.0, 1.0], (40, 2)), 10, axis=0)
     run = simulate_reference("paper", command, None, 1e-3)
     assert np.abs(run["spool"]).max() < 1.3e-3
+
+
+def test_pressure_at_the_motor_is_less_by_the_loss_of_the_lines():
+    model = load_model("paper").with_values(
+        {
+            "line_loss.coefficient": 1e14,
+            "displacement_ripple.amplitude": 0.1,
+            "displacement_ripple.order": 7.0,
+        }
+    )
+    command = _steps(np.random.default_rng(6))
+    run = simulate_reference(model, command, None, 1e-3)
+    ripple = 1.0 + 0.1 * np.cos(7.0 * run["angle"])
+    motor_flow = np.array([p["D"] for p in model.channels]) * ripple * run["speed"]
+    lost = run["pressure"] - run["motor_pressure"]
+    np.testing.assert_allclose(lost, 1e14 * motor_flow * np.abs(motor_flow), rtol=1e-9, atol=1e-3)
+    compiled = simulate(model, command, None, 1e-3, record=["motor_pressure"])["motor_pressure"][:, 0]
+    assert np.abs(compiled - run["motor_pressure"]).max() < 1e-3 * np.abs(run["motor_pressure"]).max()
 
 
 def test_delay_is_a_pure_shift():

@@ -39,6 +39,7 @@ ALLOWED = {
     "controllers": "errors files reading limits units validation jit waveforms plant tasks envs valve_bench",
     "datasets": "errors streams plant tasks controllers",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
+    "case": "errors files reading limits validation pages plant diagnosis",
     "benchmark": "errors files reading units validation pages parallel plant tasks envs controllers",
     "fmu_plant": "errors reading units validation plant",
     "export": "errors files ir plant units envs controllers",
@@ -49,7 +50,7 @@ ALLOWED = {
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark"
     " live",
     "cli": "errors files jit limits units pages plant practice tasks measured valve_bench data_sheet controllers datasets"
-    " diagnosis benchmark training experiments export fmu_plant live lab",
+    " diagnosis case benchmark training experiments export fmu_plant live lab",
     "__main__": "cli",
 }
 

@@ -16,13 +16,13 @@ ROOT = Path(__file__).parents[2]
 
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
-    "hydro_env": 31_900,
-    "hydro_env/diagnosis": 4_700,
-    "hydro_env/export": 2_300,
-    "hydro_env/experiments": 2_300,
+    "hydro_env": 32_120,
+    "hydro_env/diagnosis": 4_740,
+    "hydro_env/export": 2_000,
+    "hydro_env/experiments": 1_900,
 }
 #: Words, without generated parts, of everything that matches.
-MAX_WORDS = {"docs/**/*.md": 27_200, "CHANGELOG.md": 2_500, "README.md": 700}
+MAX_WORDS = {"docs/**/*.md": 28_000, "CHANGELOG.md": 2_500, "README.md": 700}
 
 _LAYOUT = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,

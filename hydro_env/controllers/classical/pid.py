@@ -68,6 +68,7 @@ class Pid:
         into_high = (output > high) & (grown > self.integral)
         into_low = (output < low) & (grown < self.integral)
         self.integral = np.where(into_high | into_low, self.integral, grown)
+        # Named, since local names become those of the exported Structured Text.
         limited: Floats = np.minimum(np.maximum(rest + self.integral, low), high)
         return limited
 

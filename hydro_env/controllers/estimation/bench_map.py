@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -50,7 +50,8 @@ class FromTheBench(Controller):
 
     def prepare(self, plant: Plant) -> None:
         """The state of the plant is used up."""
-        found = _measured(_Rigs(plant), self.scales.flow)
+        key = plant.model.name, plant.effects, plant.tolerance, plant.memory.tobytes()
+        found = _measured(_Rigs(plant, key), self.scales.flow)
         self.valves = ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
 
     def start(self, measured: Measurements) -> None:
@@ -61,18 +62,12 @@ class FromTheBench(Controller):
         super().start(measured)
 
 
+@dataclass(frozen=True)
 class _Rigs:
-    """A plant that equals another one of the same model, parameters and state."""
+    """A plant that equals another one of the same model, parameters and state, which are the `key`."""
 
-    def __init__(self, plant: Plant) -> None:
-        self.plant = plant
-        self.key = plant.model.name, plant.effects, plant.tolerance, plant.memory.tobytes()
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Rigs) and self.key == other.key
+    plant: Plant = field(compare=False)
+    key: tuple[object, ...]
 
 
 @lru_cache(maxsize=8)  # the same pairs come back in every scenario of a suite, for every controller

@@ -80,8 +80,7 @@ class Motor:
 
     def strength(self, flow: Floats, pressure: Floats) -> Floats:
         """Share of the flow without pressure that a valve passes (7), both (num_rigs, 2)."""
-        left: Floats = np.sqrt(np.maximum(1.0 - np.sign(flow) * pressure / self.supply, 0.1))
-        return left
+        return np.sqrt(np.maximum(1.0 - np.sign(flow) * pressure / self.supply, 0.1))
 
     def flow(self, speed: Floats, pressure: Floats, rise: Floats | float = 0.0) -> Floats:
         """Flow seen from speed and leakage (eq. 1) and the lines' swelling; `rise` is the pressure's, Pa/s."""

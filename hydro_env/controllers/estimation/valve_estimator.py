@@ -86,15 +86,13 @@ class ValveEstimator:
     @property
     def middle(self) -> Floats:
         """The middle of each dead zone, (num_rigs, 2)."""
-        middle: Floats = 0.5 * (self.state.edge[..., 0] - self.state.edge[..., 1])
-        return middle
+        return 0.5 * (self.state.edge[..., 0] - self.state.edge[..., 1])
 
     def expected_flow(self, position: Floats) -> Floats:
         """What valves with their spools at `position` (num_rigs, 2) pass by the estimate."""
         sign, edge = np.sign(position - self.middle), self.state.edge
         facing = np.where(sign < 0.0, edge[..., 1], edge[..., 0])
-        flow: Floats = sign * self.state.gain * np.maximum(sign * position - facing, 0.0)
-        return flow
+        return sign * self.state.gain * np.maximum(sign * position - facing, 0.0)
 
     def shift_edges(self, rows: Rows, shift: Floats) -> None:
         """Brings the edges of rigs nearer by `shift` (n, 1, 1), half of which may be wrong."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import Policy, make_interface
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, located, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
@@ -137,6 +137,7 @@ def _product(hidden: Floats, weight: Floats) -> Floats:
     """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
     batch, and stiction turns a last bit into another trajectory.
     """
+    # Named, as are those above, since local names become those of the exported Structured Text.
     product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
     return product
 
@@ -165,8 +166,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
         named = metadata.get(key)
         if not isinstance(named, str) or named not in known:
             raise InputError(f"{path}: {key} {shown(named)} is unknown: {suggestion(named, known)}")
-    layers = _layers(path, arrays)
-    return Network(layers, metadata["activation"], metadata["squash"]), metadata
+    return Network(_layers(path, arrays), metadata["activation"], metadata["squash"]), metadata
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -202,10 +202,8 @@ def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None)
                 f"{path}: {name} should hold floating-point numbers, finite and not beyond {MAX_WEIGHT:g}, of at most"
                 f" {MAX_UNITS} units"
             )
-    weight, gates = (
-        next(iter(own.values())),
-        len(own) - 1,
-    )  # one gate of a dense layer, three of a recurrent one
+    # A dense layer has one gate, a recurrent one three.
+    weight, gates = next(iter(own.values())), len(own) - 1
     units, inputs = weight.shape[0] // gates, before.outputs if before else weight.shape[-1]
     shapes = [(gates * units, inputs), (gates * units,), (gates * units, units), (gates * units,)][: len(own)]
     if [array.shape for array in own.values()] != shapes or min(units, inputs) < 1:
@@ -222,10 +220,8 @@ class NumpyPolicy(Policy):
         network, self.metadata = read_policy(path)
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
-        try:
+        with located(f"{path}: interface"):
             self.interface = make_interface(self.metadata.get("interface"))
-        except InputError as problem:
-            raise InputError(f"{path}: interface: {problem}") from None
         wanted = self.interface.num_features, self.interface.num_actions
         if (self.network.num_inputs, self.network.num_outputs) != wanted:
             raise InputError(

@@ -106,8 +106,7 @@ class FlowController:
         smooth = self.shaper.step(newest) if self.settings.shaped else newest
         self.shaper.past = [each + sudden * (newest - each) for each in self.shaper.past]
         sent = np.clip(smooth + sudden * (newest - smooth), -1.0, 1.0)
-        led = self.probing.lead(sent, e.spool, e.valves, e.channel)
-        self.shaper.replace(led, sent)
+        self.shaper.replace(self.probing.lead(sent, e.spool, e.valves, e.channel), sent)
         if self.planner:
             sent = self._plan(sent, last)
         self.sent = sent

@@ -130,8 +130,7 @@ class Planner:
         square = np.max(innovation**2, axis=1)
         self._mean += s.memory * (np.minimum(square, s.worst) - self._mean)
         steady = np.abs(acceleration) < 1.0
-        factors: Floats = np.where(steady, np.minimum(1.0 + self._mean / s.wrong, s.heaviest), 1.0)
-        return factors
+        return np.where(steady, np.minimum(1.0 + self._mean / s.wrong, s.heaviest), 1.0)
 
     def aim(self, reference: ReferenceState, motor: Floats, period: float) -> Floats:
         """Speeds to be at in the next control instants, (num_rigs, HORIZON + 1): the reference `behind` periods before.

@@ -73,8 +73,7 @@ class Reference:
         goes_on = self.smooth & (np.abs(slope - self._slope) < 0.2 * SMOOTH)
         self._setpoint, self._slope = setpoint, slope
         periods = self.settings.foresight * (1.0 / (self.settings.rate * self._channel.period) + response)
-        foreseen: Floats = setpoint + np.where(goes_on, periods * slope, 0.0)
-        return foreseen
+        return setpoint + np.where(goes_on, periods * slope, 0.0)
 
     def update(
         self, setpoint: Floats, speed: Floats, torque: Floats, valves: ValveState, coasts: Bools, rests: Bools

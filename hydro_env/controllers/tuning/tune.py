@@ -16,7 +16,7 @@ from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.tuning.gains import GainsFile, OtherPeriod, read_gains, write_gains
 from hydro_env.controllers.tuning.search import Search, Task, drive, search
 from hydro_env.controllers.tuning.start import starts
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import check_known
 from hydro_env.tasks import OWN
 
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
@@ -92,9 +92,7 @@ def run_all(
 
     InputError for a name that `COMMON` lacks, OSError for a folder that cannot be written.
     """
-    for name in names or ():
-        if name not in COMMON:
-            raise InputError(f"--only {name!r}: {suggestion(name, COMMON)}")
+    check_known("--only", names or (), COMMON)
     return {name: _tuned(name, Path(out), seed, progress) for name in names or COMMON}
 
 

@@ -11,7 +11,7 @@ logs (`grow_horizon`), and competing candidates from every size to their first h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -144,12 +144,17 @@ def best_on_early_window(
 def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
     """Every start of every candidate; without a label those that have no further effect."""
     found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
+    for one in extensions(rig, present, channel, names):
+        found += [one, one.from_given()]
+    return found
+
+
+def extensions(rig: RigModel, present: Estimate, channel: int, names: Iterable[str]) -> Iterator[Estimate]:
+    """The estimate with each effect at every size and shape that is worth a first simulation."""
     for name in names:
         effect = effect_in(rig, name, channel)
         for values in effect_starts(effect, math.inf, whole=True):
-            one = present.with_effect(effect, values, channel)
-            found += [one, one.from_given()]
-    return found
+            yield present.with_effect(effect, values, channel)
 
 
 def best_of_each(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...measured import Mapping, RigLog
-from ...measured.mapping import LINES
+from ...measured.log import HELD
+from ...measured.mapping import CHANNEL_SIGNALS
 from ..estimation.uncertainty import SHORTEST_S, STRETCH_S
 from .parts import Part, overlap, read_parts
 
@@ -33,7 +35,7 @@ def read_logs(
     parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out or ()))
     read.clear()
     overlap(parts, proofs)
-    parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
+    parts, proofs = _known_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
     for what, own in (("fit", parts), ("held-out", proofs)):
         lasts = sum(part.seconds for part in own)
@@ -62,15 +64,13 @@ def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], li
     return _left_out(parts, proofs, ("command_V", "speed"), idle[0], text)
 
 
-def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
-    """The logs without the signals that only some of the fit logs have."""
-    for signal in ("current", "pressure", "spool", "flow", *LINES):
-        for c in parts[0].log.channels:
-            having = [part.log.has(signal, c) for part in parts]
-            if any(having) and not all(having):
-                what, without = f"{signal} of channel {c + 1}", parts[having.index(False)].label
-                text = f"{what} is not in every fit log (not in {without}): left out of all"
-                parts, proofs = _left_out(parts, proofs, (signal,), c, text)
+def _known_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
+    """The logs without signals of held-out ones that no fit log has: nothing says how large their noise is."""
+    for signal, c in itertools.product((s for s in CHANNEL_SIGNALS if s not in HELD), parts[0].log.channels):
+        having, shown = (any(p.log.has(signal, c) for p in each) for each in (parts, proofs))
+        if shown and not having:
+            text = f"{signal} of channel {c + 1} is in no fit log: left out of the held-out ones"
+            parts, proofs = _left_out(parts, proofs, (signal,), c, text)
     return parts, proofs
 
 

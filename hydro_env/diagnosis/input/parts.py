@@ -79,7 +79,7 @@ def read_parts(
             path = name = log.name
         else:
             name = str(word)
-            path, windows = _split(name)
+            path, windows = split(name)
             if path not in read:
                 read[path] = read_log(path, mapping)
             log = read[path]
@@ -138,7 +138,8 @@ def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Pa
     return parts
 
 
-def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
+def split(word: str) -> tuple[str, list[tuple[float, float]]]:
+    """`PATH@FROM:TO,...` as the path and its windows, s; InputError for a window that is none."""
     path, at, text = word.rpartition("@")
     if not at or os.path.exists(word):  # also False of a name that is too long
         return word, ALL

@@ -34,6 +34,7 @@ UNITS = {
     "spool": ("mm", MILLIMETRE),
     "flow": ("lpm", LPM),
     "mean_line_pressure": ("bar", BAR),
+    "motor_pressure": ("bar", BAR),
 }
 #: The SI units of these.
 SI = {"rpm": "rad/s", "A": "A", "bar": "Pa", "mm": "m", "lpm": "m3/s"}

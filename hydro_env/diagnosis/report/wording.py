@@ -21,7 +21,7 @@ _EQUATIONS = {
 #: Signals of the logs.
 SIGNALS = {
     "speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow",
-    "mean_line_pressure": "mean line pressure",
+    "mean_line_pressure": "mean line pressure", "motor_pressure": "pressure difference at the motor",
 }  # fmt: skip
 #: Units that the keys of diagnosis.json spell otherwise.
 KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}

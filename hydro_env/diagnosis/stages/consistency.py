@@ -119,11 +119,8 @@ def _turned(
 ) -> np.ndarray:  # fmt: skip
     """The measured speed of a channel over all logs, and what pressure and load, scaled, give to its shaft (2, n), see
     `shaft_of`; no samples where they are not logged."""
-    both, values = [], given_shaft(rig, turning if pressing is None else pressing)
-    for part in rig.parts:
-        shaft = shaft_of(part, turning, pressing, loaded)
-        if shaft is None:
-            return np.zeros((2, 0))
+    both, values = [np.zeros((2, 0))], given_shaft(rig, turning if pressing is None else pressing)
+    for shaft in filter(None, (shaft_of(part, turning, pressing, loaded) for part in rig.parts)):
         shaft = replace(shaft, pressure=pressure_scale * shaft.pressure, load=load_scale * shaft.load)
         both.append(np.array([shaft.speed, shaft.driven(values)])[:, shaft.used])
     return np.concatenate(both, axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,15 +29,27 @@ UNCONFIRMED = 0.28
 INCOMPLETE = 0.88
 
 
+#: Hypotheses beside names: the catalogue or this set of effects does not hold the cause; and no effect is there.
+UNKNOWN, PARAMETERS = "something unknown", "nothing but parameters"
+
+
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that was found, on these `channels` (none: on the whole rig)."""
+    """An effect that was found, on these `channels` (none: on the whole rig). `shares` are the probabilities of all hypotheses
+    about its place, which sum to one: the name, what it is indistinguishable from, `UNKNOWN` and `PARAMETERS`."""
 
     name: str
     channels: tuple[int, ...]
-    probability: float
-    indistinguishable_from: list[str]
     parameters: dict[str, Interval]
+    shares: Mapping[str, float]
+
+    @property
+    def probability(self) -> float:
+        return round(self.shares[self.name], 3)
+
+    @property
+    def indistinguishable_from(self) -> list[str]:
+        return [name for name in self.shares if name not in (self.name, UNKNOWN, PARAMETERS)]
 
     @property
     def channel(self) -> str:
@@ -54,8 +66,12 @@ class NamedEffect:
 
 def run(selection: Selection, found: Confirmed) -> list[NamedEffect]:
     """Names the effects that were found; less likely are those of a verdict `unknown` and those that leave something."""
-    named = name_effects(selection, found.models.final)
-    return [replace(n, probability=round(_trust(found, n) * n.probability, 3)) for n in named]
+    named = []
+    for n in name_effects(selection, found.models.final):
+        trust = _trust(found, n)
+        shares = {name: trust * share for name, share in n.shares.items()}
+        named.append(replace(n, shares=shares | {UNKNOWN: shares[UNKNOWN] + 1.0 - trust}))
+    return named
 
 
 def _trust(found: Confirmed, named: NamedEffect) -> float:
@@ -77,27 +93,30 @@ def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:
     fit, found = selection.logs.fit, []
     for one in selection.accepted:
         c = fit.rig.channels[0] if one.channel is None else one.channel
-        competitors = sorted(one.competing, key=lambda n: one.competing[n])
         channels = () if one.channel is None else (one.channel,)
-        probability = _probability(fit, one, competitors, selection.estimates[c])
         bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
         row, effect = row_of(fit.rig, c), effect_in(fit.rig, one.effect, c)
         values = {name: widened_by_form(effect, name, v, bare[name], row) for name, v in values.items()}
-        found.append(NamedEffect(one.effect, channels, round(probability, 3), competitors, values))
+        found.append(NamedEffect(one.effect, channels, values, _shares(fit, one, selection.estimates[c])))
     return _merged(found)
 
 
-def _probability(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: Estimate) -> float:
-    """How likely an effect is there, and is this one and none of its competitors."""
+def _shares(fit: Fit, one: Accepted, estimate: Estimate) -> dict[str, float]:
+    """How likely an effect is there, and is this one, each of its competitors, or one of another set of effects."""
     # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
-    declared = CATALOGUE[one.effect].indistinguishable_from
+    declared, competitors = (
+        CATALOGUE[one.effect].indistinguishable_from,
+        sorted(one.competing, key=one.competing.__getitem__),
+    )
     behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in competitors]
     half = 0.5 * fit.settings.temper
-    weight = 1.0 + sum(math.exp(-half * deficit) for deficit in (*behind, one.rival))
+    others = [math.exp(-half * deficit) for deficit in (*behind, one.rival)]
+    weight = 1.0 + sum(others)
     likely = 1.0 / (1.0 + math.exp(-half * (one.gain - one.needed)))
     if one.without is not None and one.without.channel == estimate.channel:
         likely = min(likely, probability_of_gain(fit, one.without, estimate, one.needed))
-    return likely / weight
+    weights = zip((one.effect, *competitors, UNKNOWN), (1.0, *others), strict=True)
+    return {name: likely * w / weight for name, w in weights} | {PARAMETERS: 1.0 - likely}
 
 
 def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
@@ -109,9 +128,9 @@ def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
             out.append(n)
             continue
         values = {name: _both(a, n.parameters[name]) for name, a in twin.parameters.items()}
-        competitors = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
-        probability = min(twin.probability, n.probability)
-        out[out.index(twin)] = NamedEffect(n.name, (0, 1), probability, competitors, values)
+        weaker = min(twin, n, key=lambda o: o.probability)
+        shares = dict.fromkeys([*twin.shares, *n.shares], 0.0) | dict(weaker.shares)
+        out[out.index(twin)] = NamedEffect(n.name, (0, 1), values, shares)
     return out
 
 

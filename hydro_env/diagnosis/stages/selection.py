@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
-from ..estimation.local_minima import best_of_each, best_on_early_window
+from ..estimation.local_minima import best_of_each, best_on_early_window, extensions
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
@@ -169,6 +170,11 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
         again = _compete_on_beginning(search, refits)
         refits, gains = refits | again, gains | {c: _gains(search, c, own) for c, own in again.items()}
+    for c, twins in _twins(search, refits, gains).items():
+        first, gain = refits[c][0], gains[c][refits[c][0].label]
+        best, *_ = refits[c] = _ranked(fit, [*refits[c], *twins])
+        # Directly, in samples that are independent beside the better one: a little that is left makes these many more or less.
+        gains[c] |= {p.label: gain - max(0.0, fit.gain(p, best)) for p in (first, *twins)}
     for c, own in every.items():
         for p in own:
             if p.label not in gains[c]:
@@ -226,6 +232,24 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
     others = {c: _ranked(fit, own) for c, own in others.items()}
     search.settle([p for own in others.values() for p in own[:1]])
     return {c: _ranked(fit, [*own, refits[c][0]]) for c, own in others.items()}
+
+
+def _twins(
+    search: Search, refits: dict[int, list[Estimate]], gains: dict[int, dict[str, float]]
+) -> dict[int, list[Estimate]]:
+    """By channel the declared twins of the best candidate that do not compete with it, fitted from where it ended: usual logs
+    cannot tell them apart, so one that is behind may have ended in a local minimum."""
+    fit, found = search.fit, {}
+    for c, (best, *_) in refits.items():
+        less, behind = best.without(best.label, c), search.competing(best.label, gains[c])
+        pays = fit.gain(search.present[c], best) > penalty(fit, best.label)
+        declared = [n for n in CATALOGUE[best.label].indistinguishable_from if n in search.names]
+        names = [n for n in declared if pays and n not in behind]
+        found[c] = [*extensions(fit.rig, less, c, names)]
+    fit.evaluate([p for own in found.values() for p in own])
+    found = {c: best_of_each(own) for c, own in found.items()}
+    solve(fit, [p for own in found.values() for p in own], SETTLE_ITERATIONS)
+    return {c: own for c, own in found.items() if own}
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:

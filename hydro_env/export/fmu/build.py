@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env import __version__
-from hydro_env.errors import InputError, suggestion, to_install
+from hydro_env.errors import InputError, check_known, to_install
 from hydro_env.export.c_printer import identifier
 from hydro_env.export.compiler import build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
+from hydro_env.export.templates import template
 from hydro_env.files import write_json
 from hydro_env.plant import PlantModel
 from hydro_env.units import RPM
@@ -27,29 +28,6 @@ from hydro_env.units import RPM
 from .description import COMMAND_REFERENCE, FIRST_REFERENCE, LOAD_REFERENCE, TIME_REFERENCE, model_description
 
 HERE = Path(__file__).parent
-_MODEL_HEADER = """\
-#ifndef HYDRO_MODEL_H
-#define HYDRO_MODEL_H
-#define TOKEN "{token}"
-#define TIME_REFERENCE {time}u
-#define COMMAND_REFERENCE {command}u
-#define LOAD_REFERENCE {load}u
-#define FIRST_REFERENCE {first}u
-#define STEP_REFUSED "the communication step must be positive{most}"
-#endif
-"""
-_BUILD = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<fmiBuildDescription fmiVersion="3.0">
-  <BuildConfiguration modelIdentifier="{identifier}">
-    <SourceFileSet language="C99" compilerOptions="-std=c99">
-      <SourceFile name="plant.c"/>
-      <SourceFile name="fmi3.c"/>
-    </SourceFileSet>
-    <Library name="m" external="true"/>
-  </BuildConfiguration>
-</fmiBuildDescription>
-"""
 #: By the name of a platform: its `sys.platform` and machine, the folder of the binary in FMI 2.0 (which has none for some) and in
 #: FMI 3.0, its ending, and what Zig calls it.
 PLATFORMS = {
@@ -107,8 +85,7 @@ def _compilers(platforms: tuple[str, ...]) -> dict[str, list[str]]:
     own = {name: find_compiler() for name, each in PLATFORMS.items() if each[0] == here}
     found = {name: command for name, command in own.items() if command and name in (platforms or own)}
     for name in platforms:
-        if name not in PLATFORMS:
-            raise InputError(f"--platform is {name!r}: {suggestion(name, PLATFORMS)}")
+        check_known("--platform is", [name], PLATFORMS)
         if name not in found and importlib.util.find_spec("ziglang") is None:
             raise InputError(f"--platform {name} needs the compiler Zig: {to_install('windows')}")
         found.setdefault(name, [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name][4]])
@@ -123,7 +100,7 @@ def _write(
     most = f", and at most {source.most_sent} changes of command under way" if source.most_sent else ""
     digest = hashlib.sha256("\n".join([source.header, source.body, wrapper, identifier]).encode()).digest()
     token = f"{{{uuid.UUID(bytes=digest[:16])}}}"
-    model_header = _MODEL_HEADER.format(
+    model_header = template("model.h").substitute(
         token=token, time=TIME_REFERENCE, command=COMMAND_REFERENCE, load=LOAD_REFERENCE, first=FIRST_REFERENCE, most=most,
     )  # fmt: skip
     content: dict[str, bytes] = {
@@ -136,7 +113,9 @@ def _write(
         f"sources/fmi{version}.c": wrapper.encode(),
     }
     if version == 3:
-        content["sources/buildDescription.xml"] = _BUILD.format(identifier=identifier).encode()
+        content["sources/buildDescription.xml"] = (
+            template("buildDescription.xml").substitute(identifier=identifier).encode()
+        )
     binaries = [name for name in compilers if PLATFORMS[name][version - 1]]
     with tempfile.TemporaryDirectory() as room:
         for name, text in content.items():

@@ -14,6 +14,7 @@ from xml.etree import ElementTree as xml
 from hydro_env.export.plant_source import PlantSource
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.catalogue.effect import parameter_of
+from hydro_env.plant.kernel.layout import with_shared
 
 from .units import DISPLAYED, base_unit
 
@@ -55,11 +56,12 @@ def variables(source: PlantSource) -> list[Variable]:
     for c in (1, 2):
         text = f"torque of the load on the shaft of motor {c}, held over a step"
         found.append(Variable(f"load_{c}", LOAD_REFERENCE + c - 1, "input", "N m", text, 0.0))
+    effects = {effect.name: effect for effect in with_shared(CATALOGUE.values())}
     for name in source.outputs:
         unit, text = _SIGNALS.get(name, ("", ""))
         shown = name.replace("__", ".", 1)
         if not text:
-            text = f"state of the effect {CATALOGUE[name.split('__')[0]].title}"
+            text = f"state of the effect {effects[name.split('__')[0]].title}"
         for c in (1, 2):
             place = FIRST_REFERENCE + source.places[name] + c - 1
             found.append(Variable(f"{shown}_{c}", place, "output", unit, f"{text}, channel {c}"))
@@ -92,19 +94,17 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
         variableNamingConvention="structured", license="MIT",
     )  # fmt: skip
     root.set("guid" if version == 2 else "instantiationToken", token)
-    able = {
-        "canHandleVariableCommunicationStepSize": "true",
-        "canSerializeFMUstate" if version == 2 else "canSerializeFMUState": "true",
-    }
-    able["canGetAndSetFMUstate" if version == 2 else "canGetAndSetFMUState"] = "true"
-    interface = xml.SubElement(root, "CoSimulation", {"modelIdentifier": identifier, **able})
+    state = "FMUstate" if version == 2 else "FMUState"
+    able = ("canHandleVariableCommunicationStepSize", f"canSerialize{state}", f"canGetAndSet{state}")
+    interface = xml.SubElement(
+        root, "CoSimulation", {"modelIdentifier": identifier, **dict.fromkeys(able, "true")}
+    )
     if version == 2:
         files = xml.SubElement(interface, "SourceFiles")
         for name in ("plant.c", "fmi2.c"):
             xml.SubElement(files, "File", name=name)
-    every = [
-        v for v in variables(source) if version == 3 or v.causality != "independent"
-    ]  # optional in FMI 2.0
+    # In FMI 2.0 the time may be left out.
+    every = [v for v in variables(source) if version == 3 or v.causality != "independent"]
     _units(xml.SubElement(root, "UnitDefinitions"), every)
     categories = xml.SubElement(root, "LogCategories")
     xml.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
@@ -135,15 +135,13 @@ def _number(value: float) -> str:
 
 
 def _variable(parent: xml.Element, each: Variable, version: int) -> None:
-    variability = {"parameter": "tunable"}.get(each.causality, "continuous")
+    variability = "tunable" if each.causality == "parameter" else "continuous"
     named = {
         "name": each.name, "valueReference": str(each.reference), "description": each.text, "causality": each.causality,
         "variability": variability,
     }  # fmt: skip
-    if each.causality == "output":
-        named["initial"] = "calculated"
-    elif each.causality == "parameter":
-        named["initial"] = "exact"
+    if initial := {"output": "calculated", "parameter": "exact"}.get(each.causality):
+        named["initial"] = initial
     typed: dict[str, Any] = {"unit": each.unit} if each.unit else {}
     if each.unit in DISPLAYED:
         typed["displayUnit"] = DISPLAYED[each.unit][0]
@@ -151,8 +149,7 @@ def _variable(parent: xml.Element, each: Variable, version: int) -> None:
     if each.start is not None:
         typed["start"] = _number(each.start)
     if version == 2:
-        element = xml.SubElement(parent, "ScalarVariable", named)
-        xml.SubElement(element, "Real", **typed)
+        xml.SubElement(xml.SubElement(parent, "ScalarVariable", named), "Real", **typed)
     else:
         xml.SubElement(parent, "Float64", {**named, **typed})
 

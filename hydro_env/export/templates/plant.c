@@ -1,3 +1,16 @@
+static const double initial[PLANT_CELLS] = {
+    ${initial}};
+
+/* How many channels a parameter belongs to by itself (0: a signal, 1, or 2 that share it), and its neutral, least and greatest
+   value. */
+static const struct {
+    int channels;
+    double neutral, least, greatest;
+} settable[PLANT_CELLS / 2] = {
+    ${settable}};
+
+/* Places in `room` that the loop over steps knows, and the sweeps of the kernel, for a plant `p`. */
+${known}
 
 static void enter(plant *p) {
     int i;

@@ -138,10 +138,7 @@ class Effect:
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(name)
+        return {parameter.name: parameter for parameter in self.parameters}[name]
 
     def is_neutral(self, values: Mapping[str, float]) -> bool:
         """Whether the effect vanishes at these parameter values (missing ones count as neutral).

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, suggestion
+from ...errors import InputError, check_known
 from ..kernel import laws
 from ..parameters import PARAMETERS, Parameter
 from ..rhs import rates
@@ -30,9 +30,7 @@ def check_laws(effect: Effect) -> None:
     the kernel cannot, or changes its quantity at the neutral value."""
     for part, law, known in _laws(effect):
         where = f"effect {effect.name!r}: {part}"
-        for name in arguments(law):
-            if name not in known:
-                raise InputError(f"{_line(law)}: {where} asks for {name!r}: {suggestion(name, known)}")
+        check_known(f"{_line(law)}: {where} asks for", arguments(law), known)
         try:
             laws.check_law(law)
         except laws.LawError as problem:

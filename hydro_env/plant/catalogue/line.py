@@ -50,7 +50,7 @@ LINE_LOSS = Effect(
     indistinguishable_from=("quadratic_drag",),
     separated_by={
         "quadratic_drag": "drive the motor from outside with the valve closed and both ports connected: drag acts, line loss "
-        "does not; or measure the pressure at the motor's ports",
+        "does not; or log the pressure at the motor's ports (motor_pressure)",
     },
 )  # fmt: skip
 

@@ -344,7 +344,7 @@ class _Sweeps:
 
     def observe(self) -> Parts:
         """Flow, and what only sensors see, from the states as they are."""
-        outputs = ["flow", "measured_speed", "mean_line_pressure"]
+        outputs = ["flow", "measured_speed", "mean_line_pressure", "motor_pressure"]
         measured = ["measured_speed = speed", *chain("measured_speed", self.at.effects)]
         measured += ["mean_line_pressure = 0.0", *chain("mean_line_pressure", self.at.effects)]
         return [self._inputs + needed(set(outputs), [*self.step.rates, *measured]) + _stored(outputs)]

@@ -20,8 +20,8 @@ INTEGRAL = {"angle": "speed"}
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop", "beta")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 _OUTPUTS = (
-    "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "diverged", "lost_at",
-    "peak_difference", "command", "load",
+    "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "motor_pressure",
+    "diverged", "lost_at", "peak_difference", "command", "load",
 )  # fmt: skip
 
 

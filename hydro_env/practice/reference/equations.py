@@ -461,6 +461,27 @@ def _relief_flow(p, y, dy, pressure):
 
 
 @compiled
+def _displacement(p, angle):
+    """Displacement at an angle of the shaft, m3/rad."""
+    ripple = p.displacement_ripple__amplitude
+    if ripple == 0.0:
+        return p.D
+    turn = p.displacement_ripple__order * angle
+    wave = math.cos(turn)
+    if p.different:
+        wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
+    return p.D * (1.0 + ripple * wave)
+
+
+@compiled
+def _at_motor(p, pressure, motor_flow):
+    """Load pressure at the ports of the motor, Pa."""
+    lost = p.line_loss__coefficient * motor_flow
+    lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
+    return pressure - lost
+
+
+@compiled
 def _motor_rates(p, y, dy, flow, load, time, droop):
     """Line (1), (3) and shaft (2)."""
     at = p.at_states
@@ -480,14 +501,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
             softness += air / (n * 101325.0) * ratio ** ((n + 1.0) / n)
         else:
             softness += air / 101325.0 * ratio**2
-    displacement = p.D
-    ripple = p.displacement_ripple__amplitude
-    if ripple != 0.0:
-        turn = p.displacement_ripple__order * angle
-        wave = math.cos(turn)
-        if p.different:
-            wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
-        displacement *= 1.0 + ripple * wave
+    displacement = _displacement(p, angle)
     leakage = p.Km * math.exp(-change) * pressure + p.speed_dependent_leakage__coefficient * speed
     if p.at_lift >= 0:
         leakage += _relief_flow(p, y, dy, pressure)
@@ -508,11 +522,10 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     if p.at_mean >= 0:
         dy[p.at_mean] = _mean_rate(p, y[at + 1], pressure, droop, y[p.at_mean], softness)
 
-    lost = p.line_loss__coefficient * motor_flow
-    lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
-    torque = displacement * (pressure - lost) - p.B * math.exp(change) * speed
+    at_motor = _at_motor(p, pressure, motor_flow)
+    torque = displacement * at_motor - p.B * math.exp(change) * speed
     if p.lossy:
-        torque -= _loss_torque(p, pressure - lost, speed)
+        torque -= _loss_torque(p, at_motor, speed)
     dy[at + 5] = (torque + _shaft_torque(p, y, dy, speed, angle, load)) / p.J
     dy[at + 6] = speed
 
@@ -555,8 +568,8 @@ def _mean_line_pressure(p, droop, mean):
 
 
 @compiled
-def outputs(y, channels, flow, shown, lines):
-    """Flow, measured speed and mean line pressure of every row of states: y (T, states) -> (T, channels) each."""
+def outputs(y, channels, flow, shown, lines, at_motor):
+    """Flow, measured speed, mean line pressure and motor pressure of every row of states: y (T, states) -> (T, channels) each."""
     for t in range(y.shape[0]):
         for c in range(channels.shape[0]):
             p = channels[c]
@@ -565,3 +578,5 @@ def outputs(y, channels, flow, shown, lines):
             flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
             shown[t, c] = _measured(p, y[t])
             lines[t, c] = _mean_line_pressure(p, droop, mean)
+            pressure, speed, angle = y[t, p.at_states + 4], y[t, p.at_states + 5], y[t, p.at_states + 6]
+            at_motor[t, c] = _at_motor(p, pressure, _displacement(p, angle) * speed)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.
 FORMS = ("same", "different")
 #: What the simulator returns.
-REFERENCE_SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
+REFERENCE_SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure", "motor_pressure")
 _INSTANT = 1e-9  # s; what lies closer together happens at once
 
 
@@ -113,7 +113,7 @@ class ReferenceRig:
     @staticmethod
     def _store(group: Group, states: Array, out: dict[str, Array], rows: NDArray[np.intp]) -> None:
         states = np.ascontiguousarray(states)
-        seen = np.empty((3, len(rows), len(group.members)))
+        seen = np.empty((4, len(rows), len(group.members)))
         outputs(states, group.channels, *seen)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])

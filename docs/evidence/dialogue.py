@@ -1,0 +1,235 @@
+"""What a dialogue decides: blind rigs that are asked up to three questions, and the same rigs with random experiments.
+
+    python -m docs.evidence.dialogue --out DIR [--seed N] [--singles N] [--pairs N] [--empty N] [--minutes M] [--jobs N]
+
+Each rig hides one effect (all of the catalogue in turn, small, medium and large), two, or none; base parameters are up to 15 %
+off the given model's but in every second rig without effects; noise, sizes and forms as in `blind_trials`. The first log is 6 s
+of closed-loop operation, the held-out one 6 s of another mixture. As long as the diagnosis is not sure (`case.dialogue`), the
+rig plays 12 s that it asks for, with the sensor that it asks for, or random manoeuvres of the same family and limits, with one of
+the sensors, or none, drawn evenly. All logs are diagnosed together, against the same held-out one.
+
+Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden. Rigs
+that DIR holds already are not run again. Writes dialogue.json and dialogue.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from agents.command import run_command
+from hydro_env.case.dialogue import next_question, recorded
+from hydro_env.case.hypotheses import certainty, places_of
+from hydro_env.case.sensors import COST, SENSORS, Shown, shown
+from hydro_env.diagnosis import Diagnosis, Settings, diagnose
+from hydro_env.diagnosis.experiment_design import commands_csv, random_design
+from hydro_env.diagnosis.stages.next_experiment import max_load
+from hydro_env.experiments.coverage import by_channel
+from hydro_env.files import write_json, write_text
+from hydro_env.limits import CORES, SEEDS, Limits
+from hydro_env.practice.generate import PLAYED, make_practice
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
+
+from .blind_trials.cases import BASE_ERROR, cases
+from .blind_trials.judging import covered, judge
+from .blind_trials.running import method
+from .blind_trials.tables import markdown
+
+SCHEMA = "hydro_env/dialogue/1"
+#: The logs of a rig: what is known first, and what is held out.
+FIRST, HELD_OUT = "fit_2", "sealed"
+LOG_SECONDS, RATE, QUESTIONS = 6.0, 500.0, 3
+#: What a rig is asked.
+KINDS = ("asked", "random")
+GROUPS = ("single", "pair", "empty")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A practice rig that is asked: its `folder`, the settings of its logs, and what it hides; threads of a diagnosis."""
+
+    folder: Path
+    settings: Mapping[str, Any]
+    truth: Mapping[str, Any]
+    jobs: int
+
+    def diagnosed(self, answers: Sequence[Path] = ()) -> tuple[Diagnosis, float]:
+        """What the first log and `answers` show, and how many seconds that took."""
+        begin, model = time.perf_counter(), self.folder / "model.yaml"
+        logs = [self.folder / f"{FIRST}.csv", *answers]
+        found = diagnose(logs, [self.folder / f"{HELD_OUT}.csv"], model=model, jobs=self.jobs)
+        return found, time.perf_counter() - begin
+
+    def played(self, name: str, commands: str, record: Sequence[str]) -> Path:
+        """The log of these commands."""
+        file = self.folder / f"{name}.csv"
+        write_text(file, commands)
+        make_practice(**self.settings, play=file, record=list(dict.fromkeys(record))).write(
+            self.folder / name
+        )
+        return self.folder / name / f"{PLAYED}.csv"
+
+
+def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
+    """One rig with each kind of questions: what was found after every log."""
+    settings = {
+        "effects": rig["hidden"], "base_error": rig["base_error"], "severity": rig["severity"], "duration": LOG_SECONDS,
+        "rate": RATE, "seed": rig["seed"],
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_practice(**settings, runs=(FIRST, HELD_OUT)).write(folder)
+        own = Rig(folder, settings, read_json(folder / "truth.json", "a practice rig"), jobs)
+        first = own.diagnosed()
+        rounds = {kind: _rounds(own, kind, *first) for kind in KINDS}
+    return {**rig, "method": method(), **rounds}
+
+
+def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[str, Any]]:
+    rng, answers, rounds = (
+        np.random.default_rng([rig.settings["seed"], 8]),
+        list[Path](),
+        list[dict[str, Any]](),
+    )
+    while True:
+        begin = time.perf_counter()
+        asked = _question(found, rng, kind == "asked") if len(rounds) < QUESTIONS else None
+        seconds += time.perf_counter() - begin
+        sensor = None if asked is None else asked[1]
+        rounds.append(_answer(found, rig.truth) | {"sensor": sensor, "seconds": round(seconds, 1)})
+        if asked is None:
+            return rounds
+        record = [*recorded(found.logs), *filter(None, [sensor])]
+        answers.append(rig.played(f"{kind}_{len(rounds)}", asked[0], record))
+        found, seconds = rig.diagnosed(answers)
+
+
+def _question(found: Diagnosis, rng: np.random.Generator, asked: bool) -> tuple[str, str | None] | None:
+    """The commands to play next and the sensor to record; None where the dialogue ends."""
+    places, sensor = places_of(found), shown(found, dict.fromkeys(SENSORS, COST)) if asked else Shown({})
+    question, closed = next_question(found, places, sensor, "question.csv", may_ask=True)
+    experiment = found.next_experiment
+    if closed == "sure" or (asked and (question is None or experiment is None or experiment.csv() is None)):
+        return None
+    if asked and experiment is not None:
+        return str(experiment.csv()), sensor.sensor
+    logged = recorded(found.logs)
+    names = [None, *(n for n in SENSORS if n not in logged)]
+    commands = commands_csv(*random_design(found.rig.model, Settings(), rng, max_load(found)))
+    return commands, names[rng.integers(len(names))]
+
+
+def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
+    data, places = found.as_dict(), places_of(found)
+    judged = judge(data, by_channel(truth["effects"]), truth["verdict"])
+    tied = any(e["indistinguishable_from"] for e in data["effects"])
+    names = [[e["name"], e["channel"], e["probability"]] for e in data["effects"]]
+    exact = judged["right"] and not found.best_guess and not tied
+    if not truth["effects"]:
+        exact = not names and data["verdict"] in ("none", "calibration")
+    return {
+        "verdict": data["verdict"], "names": names, "exact": exact, "set": judged["set"], "alarm": judged["alarm"],
+        "certainty": certainty(places), "best_guess": found.best_guess, "covered": covered(data, truth),
+    }  # fmt: skip
+
+
+def rigs(seed: int, singles: int, pairs: int, empty: int) -> Iterator[dict[str, Any]]:
+    """Rigs in turn, so that a run that is stopped has some of each group."""
+    drawn: dict[str, list[tuple[str, ...]]] = {
+        "single": [c.hidden for c in cases(["medium"], seed)], "pair": [c.hidden for c in cases(["two"], seed)],
+        "empty": [()],
+    }  # fmt: skip
+    wanted = dict(zip(GROUPS, (singles, pairs, empty), strict=True))
+    order = sorted(((n + 0.5) / count, g, n) for g, count in wanted.items() for n in range(count))
+    for _, group, n in order:
+        hidden, severity = drawn[group][n % len(drawn[group])], ("medium", "small", "large")[n % 3]
+        known = group == "empty" and n % 2
+        yield {
+            "group": group, "hidden": list(hidden), "seed": seed + 1000 * GROUPS.index(group) + n,
+            "severity": severity if group == "single" else "medium", "base_error": 0.0 if known else BASE_ERROR,
+        }  # fmt: skip
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Counts in Markdown by group and kind of questions, and how often either needs fewer questions."""
+    head = [
+        "rigs",
+        "questions",
+        "exact at first",
+        *(f"after {n + 1}" for n in range(QUESTIONS)),
+        "false names",
+        "asked, mean",
+    ]
+    cells = []
+    for group in GROUPS:
+        own = [r for r in rows if r["group"] == group]
+        for kind in KINDS if own else ():
+            exact = [sum(_after(r[kind], n)["exact"] for r in own) for n in range(QUESTIONS + 1)]
+            alarms = sum(_after(r[kind], QUESTIONS)["alarm"] for r in own)
+            mean = np.mean([len(r[kind]) - 1 for r in own])
+            cells.append([f"{group}: {len(own)}", kind, *exact, alarms, f"{mean:.2f}"])
+    return "\n".join([*markdown(head, cells), "", paired(rows)]) + "\n"
+
+
+def paired(rows: Sequence[Mapping[str, Any]]) -> str:
+    """How many questions either kind needs until a rig is exact; one more than there are where it never is."""
+    needed = [[_needed(r[kind]) for kind in KINDS] for r in rows if not r["asked"][0]["exact"]]
+    fewer, more = sum(a < b for a, b in needed), sum(a > b for a, b in needed)
+    p = binomtest(fewer, fewer + more).pvalue if fewer + more else 1.0
+    mean = " and ".join(f"{np.mean([own[k] for own in needed]):.2f}" for k in (0, 1)) if needed else "-"
+    return f"Of {len(needed)} open rigs asked questions need fewer in {fewer}, random ones in {more} (p = {p:.2g}); mean {mean}."
+
+
+def _after(rounds: Sequence[Mapping[str, Any]], questions: int) -> Mapping[str, Any]:
+    return rounds[min(questions, len(rounds) - 1)]
+
+
+def _needed(rounds: Sequence[Mapping[str, Any]]) -> int:
+    last = len(rounds) - 1
+    return last if rounds[last]["exact"] else QUESTIONS + 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="dialogue", description="What up to three questions decide.")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the rows")
+    parser.add_argument("--seed", type=SEEDS, default=680000)
+    for group, count in zip(GROUPS, (100, 60, 100), strict=True):
+        name = f"--{group}" if group == "empty" else f"--{group}s"
+        parser.add_argument(name, type=Limits(0, 1000, whole=True), default=count, help="rigs of this group")
+    parser.add_argument("--minutes", type=Limits(0.0, 1e6, unit="min"), default=math.inf)
+    parser.add_argument("--jobs", type=CORES, default=1, help="threads of a diagnosis")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path, end = given.out / "dialogue.json", time.monotonic() + 60.0 * given.minutes
+    rows = (
+        read_json(path, "the rigs of a run", max_bytes=MAX_BYTES_OF_RESULTS)["rows"] if path.exists() else []
+    )
+    for rig in rigs(given.seed, given.singles, given.pairs, given.empty):
+        if any(r["seed"] == rig["seed"] for r in rows):
+            continue
+        if time.monotonic() > end:
+            break
+        rows.append(run_rig(rig, given.jobs))
+        write_json(path, {"schema": SCHEMA, "rows": rows})
+        last = {kind: rows[-1][kind][-1] for kind in KINDS}
+        said = [
+            f"{k} {len(rows[-1][k]) - 1}: {r['names']} {'exact' if r['exact'] else ''}"
+            for k, r in last.items()
+        ]
+        print(rig["seed"], rig["hidden"], " | ".join(said), file=sys.stdout, flush=True)
+    write_text(given.out / "dialogue.md", table(rows))
+    print(table(rows), end="")
+
+
+if __name__ == "__main__":
+    run_command(main)

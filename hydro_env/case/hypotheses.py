@@ -1,0 +1,92 @@
+"""What is open after a diagnosis, with probabilities, and how likely the best answer is expected to be right after an experiment.
+
+The probabilities are those of naming. Where nothing is named, the candidates that explain most share what unconfirmed names are
+worth, by their tempered deviance. Where parameters explain the logs, candidates count by what they gain beyond what they must
+pay for: that payment is the prior of the search (PASTIS, Gerardos and Ronceray 2025).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from ..diagnosis import Diagnosis
+from ..diagnosis.experiment_design import SECONDS
+from ..diagnosis.models.base import BLOCK_S
+from ..diagnosis.stages.naming import PARAMETERS, UNCONFIRMED, UNKNOWN
+from ..diagnosis.stages.next_experiment import CALIBRATION, questions
+from .folder import Place
+
+Distances = Mapping[tuple[str, str], float]
+
+#: Digits of a probability, and the least share that is listed on its own.
+DIGITS, LISTED = 3, 0.005
+
+
+def places_of(found: Diagnosis) -> list[Place]:
+    """What is open, for each effect that is named; else for each channel with candidates, or for the rig."""
+    if found.effects:
+        return [_place(n.channel, n.shares) for n in found.effects]
+    if found.verdict in ("none", "calibration"):
+        return [_place("rig", _without_names(found))]
+    half, places = 0.5 * found.logs.fit.settings.temper, []
+    for question in questions(found):
+        least = min(p.cost for p in question.models.values())
+        weights = {n: math.exp(-half * (p.cost - least)) for n, p in question.models.items()}
+        shares = {n: UNCONFIRMED * w / sum(weights.values()) for n, w in weights.items()}
+        if CALIBRATION in shares:
+            shares[PARAMETERS] = shares.pop(CALIBRATION)
+        channel = "rig" if question.channel is None else str(question.channel + 1)
+        places.append(_place(channel, shares | {UNKNOWN: 1.0 - UNCONFIRMED}))
+    return places or [_place("rig", {UNKNOWN: 1.0})]
+
+
+def _without_names(found: Diagnosis) -> dict[str, float]:
+    weights = {PARAMETERS: 1.0}
+    for t in found.selection.candidates:
+        if t.refitted and t.gain < t.needed:
+            weights[t.effect] = max(weights.get(t.effect, 0.0), math.exp(0.5 * (t.gain - t.needed)))
+    return {n: w / sum(weights.values()) for n, w in weights.items()}
+
+
+def _place(channel: str, shares: Mapping[str, float]) -> Place:
+    """Rounded, the likeliest first, small ones as something unknown; they still sum to one."""
+    kept = {n: round(p, DIGITS) for n, p in shares.items() if n != UNKNOWN and p >= LISTED}
+    kept[UNKNOWN] = max(0.0, round(1.0 - sum(kept.values()), DIGITS))
+    return Place(channel=channel, hypotheses=dict(sorted(kept.items(), key=lambda item: -item[1])))
+
+
+def certainty(places: Sequence[Place]) -> float:
+    """How likely the best answer is right at the place where that is least likely."""
+    return min(max([p for n, p in each.hypotheses.items() if n != UNKNOWN], default=0.0) for each in places)
+
+
+def weight_of(apart: float, temper: float) -> float:
+    """The weight that a wrong model keeps after an experiment in which it is so far `apart` from the right one (RMS in units of
+    what is not known): that of its expected deviance, tempered as in naming. The laws of machines differ from block to block of
+    `BLOCK_S`, so each counts once."""
+    return math.exp(-0.5 * temper * SECONDS / BLOCK_S * apart**2)
+
+
+def expected(places: Sequence[Place], apart: Distances, temper: float) -> float:
+    """The same after an experiment in which models of two names are so far apart.
+
+    If one of them is right, the others keep the weight of their expected deviance. What no model stands for keeps its share.
+    """
+    return min(_expected(each, apart, temper) for each in places)
+
+
+def _expected(place: Place, apart: Distances, temper: float) -> float:
+    shares = {n: p for n, p in place.hypotheses.items() if n != UNKNOWN and p > 0.0}
+    models = {n: CALIBRATION if n == PARAMETERS else n for n in shares}
+
+    def kept(one: str, other: str) -> float:
+        pair = models[one], models[other]
+        return weight_of(apart.get(pair, apart.get(pair[::-1], 0.0)), temper)
+
+    right = 0.0
+    for one, p in shares.items():
+        others = sum(q * kept(one, other) for other, q in shares.items() if other != one)
+        right += p * p / (p + others)
+    best = max(shares.values(), default=0.0)
+    return round(max(best, right), DIGITS)
