@@ -96,11 +96,10 @@ def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
 
 
 def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[str, Any]]:
-    rng, answers, rounds = (
-        np.random.default_rng([rig.settings["seed"], 8]),
-        list[Path](),
-        list[dict[str, Any]](),
-    )
+    """What was found after every log, from `found` in the first one in so many `seconds`."""
+    rng = np.random.default_rng([rig.settings["seed"], 8])
+    answers: list[Path] = []
+    rounds: list[dict[str, Any]] = []
     while True:
         begin = time.perf_counter()
         asked = _question(found, rng, kind == "asked") if len(rounds) < QUESTIONS else None

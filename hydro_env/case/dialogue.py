@@ -9,6 +9,7 @@ from typing import Any
 
 from ..diagnosis import Diagnosis, command
 from ..diagnosis.logs import Logs
+from ..diagnosis.report import wording as words
 from ..diagnosis.stages.naming import UNKNOWN
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
 from ..errors import InputError
@@ -139,7 +140,7 @@ def next_question(
     if not may_ask:
         return None, "questions used up"
     names = [n for p in places for n in p.hypotheses if n != UNKNOWN]
-    open_ = ", ".join(dict.fromkeys(n.replace("_", " ") for n in names[:4])) or UNKNOWN
+    open_ = ", ".join(dict.fromkeys(map(words.plain, names[:4]))) or UNKNOWN
     what = "best guess, not proven" if found.best_guess else "open"
     question = Question(
         why=f"{what}: {open_}; {why}", commands=None if design is None else file,
@@ -152,7 +153,11 @@ def next_question(
 def recorded(logs: Logs) -> list[str]:
     """What the logs hold beside time, command and speed, as `hydro-env hide --record` calls it."""
     every = [part.log for part in (*logs.fit.rig.parts, *logs.held_out.parts)]
-    return [n for n, signals in _LOGGED.items() if any(log.get(signals[0]) is not None for log in every)]
+    return [
+        n
+        for n, signals in _LOGGED.items()
+        if any(log.has(signals[0], c) for log in every for c in log.channels)
+    ]
 
 
 def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
@@ -162,7 +167,7 @@ def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
     shas = {case.files[cases.path_of(w)] for w in case.rounds[-1].logs}
     attribute = _LOGGED[asked.sensor][0]
     came = any(p.log.get(attribute) is not None for p in found.rig.parts if p.log.sha256 in shas)
-    return [] if came else [f"came back without {asked.sensor.replace('_', ' ')}"]
+    return [] if came else [f"came back without {words.plain(asked.sensor)}"]
 
 
 def said(folder: Path, case: CaseFile) -> str:
@@ -173,9 +178,8 @@ def said(folder: Path, case: CaseFile) -> str:
     lines = [f"{folder}: {logs} logs, {len(case.asked)} questions so far; verdict {last.verdict}"]
     lines += [f"  remark: the last log {text}" for text in last.remarks]
     for place in last.open[:4]:
-        shares = [f"{n.replace('_', ' ')} {p:.2f}" for n, p in [*place.hypotheses.items()][:5]]
-        where = "rig" if place.channel == "rig" else f"channel {place.channel}"
-        lines.append(f"  {where}: {', '.join(shares)}")
+        shares = [f"{words.plain(n)} {p:.2f}" for n, p in [*place.hypotheses.items()][:5]]
+        lines.append(f"  {words.where(place.channel)}: {', '.join(shares)}")
     if case.closed:
         lines.append(f"closed: {case.closed}")
     elif last.question is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..diagnosis.report import wording as words
 from ..diagnosis.stages.naming import UNKNOWN
 from ..pages import COLOURS, figure, render, svg
 from .folder import CaseFile
@@ -19,7 +20,7 @@ def case_page(folder: Path, case: CaseFile) -> str:
     pictures = {q.commands: q.commands and _commands(folder / q.commands) for q in case.asked}
     return render(
         files(__package__).joinpath("case.html"), title=f"Case {folder.absolute().name}", version=__version__, case=case,
-        pictures=pictures, moved=_probabilities(case),
+        pictures=pictures, moved=_probabilities(case), words=words,
     )  # fmt: skip
 
 
@@ -51,11 +52,11 @@ def _probabilities(case: CaseFile) -> Any:
             left += share
     axis.set_yticks(
         [-n for n in range(len(bars))],
-        [f"after {n} answers, {'rig' if p.channel == 'rig' else f'channel {p.channel}'}" for n, p in bars],
+        [f"after {n} answers, {words.where(p.channel)}" for n, p in bars],
     )
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("probability")
     for name in colours:
-        axis.barh(0, 0.0, color=colours[name], label=name.replace("_", " "))
+        axis.barh(0, 0.0, color=colours[name], label=words.plain(name))
     axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.4, 1.0), frameon=False)
     return svg(drawing, "probabilities after each round")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..diagnosis import Diagnosis
 from ..diagnosis.experiment_design import Trial
+from ..diagnosis.report.wording import plain
 from ..diagnosis.stages.next_experiment import PARTED, questions
 from ..errors import InputError, suggestion
 from ..limits import Limits
@@ -93,7 +94,7 @@ def chosen(
         pair = max(apart, key=lambda names: worth(names, apart[names]))
         net = worth(pair, apart[pair]) - costs[name]
         if net > most:
-            both = " and ".join(each.replace("_", " ") for each in pair)
+            both = " and ".join(map(plain, pair))
             text = f"with it {both} differ by {apart[pair]:.2g}, without by {without[pair]:.2g}"
-            best, most = Shown(apart, name, f"; log {name.replace('_', ' ')} as well: {text}"), net
+            best, most = Shown(apart, name, f"; log {plain(name)} as well: {text}"), net
     return best

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
-    "hydro_env": 32_120,
-    "hydro_env/diagnosis": 4_740,
+    "hydro_env": 32_110,
+    "hydro_env/diagnosis": 4_735,
     "hydro_env/export": 2_000,
     "hydro_env/experiments": 1_900,
 }

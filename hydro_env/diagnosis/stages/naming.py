@@ -104,10 +104,8 @@ def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:
 def _shares(fit: Fit, one: Accepted, estimate: Estimate) -> dict[str, float]:
     """How likely an effect is there, and is this one, each of its competitors, or one of another set of effects."""
     # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
-    declared, competitors = (
-        CATALOGUE[one.effect].indistinguishable_from,
-        sorted(one.competing, key=one.competing.__getitem__),
-    )
+    declared = CATALOGUE[one.effect].indistinguishable_from
+    competitors = sorted(one.competing, key=one.competing.__getitem__)
     behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in competitors]
     half = 0.5 * fit.settings.temper
     others = [math.exp(-half * deficit) for deficit in (*behind, one.rival)]

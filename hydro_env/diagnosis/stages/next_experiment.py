@@ -20,7 +20,6 @@ from ..estimation.estimate import Estimate
 from ..experiment_design import SECONDS, Design, Operation, Question, Trial, best_design, commands_csv
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
-from .naming import INCOMPLETE, UNKNOWN
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -83,9 +82,8 @@ def questions(state: State) -> list[Question]:
 
 
 def operations(state: State) -> dict[int, Operation]:
-    """Where nothing is proven, or names leave something: what the estimate of each channel is to predict of the held-out logs."""
-    left = any(n.shares[UNKNOWN] >= 1.0 - INCOMPLETE for n in state.effects)
-    if not state.rig.has_hidden_states or not (left or state.verdict == "unknown" or state.best_guess):
+    """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
+    if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
         return {}
     held_out = state.logs.fit.on(state.logs.held_out)
     found = {c: Operation.of(held_out, state.models.final[c], c) for c in state.rig.channels}
@@ -135,7 +133,7 @@ def _described(design: Design) -> str:
             text += f": there {pair} differ by {times}"
         else:
             text = f"{what} alone hardly separate {pair} ({FILE}: {times})"
-        known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
+            known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
     if design.prediction is not None:
         now, then = design.prediction
         text += (
