@@ -192,7 +192,7 @@ class OpcUaRig(Rig):
         while not self.over.is_set():
             if self.alive != running:
                 running = self.alive
-                await (server.start() if running else server.stop())
+                await (server.start() if running else stopped(server))
             numbers = self.disturb(self.numbers())
             for name, value in (numbers or {}).items():
                 await server.write_attribute_value(
@@ -204,7 +204,16 @@ class OpcUaRig(Rig):
             await asyncio.sleep(max(0.0, tick - time.monotonic()))
             self.advance()
         if running:
-            await server.stop()
+            await stopped(server)
+
+
+async def stopped(server: Any) -> None:
+    """A client that comes back while the server closes would hold it open for ever: then its connection is closed, too."""
+    while True:
+        try:
+            return await asyncio.wait_for(server.stop(), 1.0)
+        except TimeoutError:
+            pass
 
 
 def late(cycles: int) -> Callable[[Numbers], Numbers | None]:
