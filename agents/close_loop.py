@@ -5,7 +5,7 @@ and true. Here a PPO agent is trained from nothing on each of them, with the sam
 and drives the hidden rigs, which the independent reference simulator plays, on scenarios it has not been trained on. Its
 network sees the last measurements as they are (interface `frames`): what it knows of the valves it has from its model.
 
-DIR receives what the command wrote (close_loop.json, close_loop.md, the picture) with the agent beside the other
+DIR receives what the command wrote (close_loop.json, traces.json, close_loop.md) with the agent beside the other
 controllers, `runs/` with all trainings, and `drives/` with the scores. The same command again goes on where it was stopped.
 """
 
@@ -56,15 +56,13 @@ def work_of(data: Mapping[str, Any]) -> Iterator[Work]:
             yield Work(row["rig"], row["case"], row["seed"], row["forms"], source)
 
 
-def run(
-    rigs: Path, out: Path, config: Config, *, command: str = "", pictures: bool = True, progress: bool = True
-) -> dict[str, Any]:
+def run(rigs: Path, out: Path, config: Config, *, command: str = "", progress: bool = True) -> dict[str, Any]:
     """Trains and scores what is not done yet; returns the result, which is written to `out` after every rig.
 
     `rigs` is the folder that `hydro-env close-loop` wrote. InputError if it is not, or if `out` holds trainings of another
     training file or other models.
     """
-    data = _read(rigs)
+    data = read(rigs)
     texts = {(w.rig, w.source): _text(rigs, w) for w in work_of(data)}
     (out / "drives").mkdir(parents=True, exist_ok=True)
     others = [s for s in data["scores"] if s["controller"] != NAME or s["tuned_on"] == "none"]
@@ -105,11 +103,11 @@ def run(
         if work.source == SOURCES[-1]:
             scores = others + rows
             data = {**data, "agent": training, "scores": scores, "summary": collect(scores)}
-            close_loop.write(out, data, pictures)
+            close_loop.write(out, data)
     return data
 
 
-def _read(folder: Path) -> dict[str, Any]:
+def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
     what = f"a result of `hydro-env close-loop --out {folder}`"
     files = folder / "close_loop.json", folder / "traces.json"
@@ -155,15 +153,13 @@ def main() -> None:
     parser.add_argument("--rigs", type=Path, required=True, help="folder that `hydro-env close-loop` wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to; may be the same")
     parser.add_argument("--config", type=Path, default=CONFIG, help="training file; its plant is replaced")
-    parser.add_argument("--no-pictures", action="store_true", help="draw nothing")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
     given = parser.parse_args()
 
     def work() -> None:
         command = f"python -m agents.close_loop --config {given.config.name}"
         data = run(
-            given.rigs, given.out, read_config(given.config), command=command, pictures=not given.no_pictures,
-            progress=not given.quiet,
+            given.rigs, given.out, read_config(given.config), command=command, progress=not given.quiet,
         )  # fmt: skip
         print(summary(data))
 

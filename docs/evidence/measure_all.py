@@ -211,6 +211,7 @@ STEPS = {
         [
             "{hydro} close-loop --seed 1 --seeds 2 --cells cells --out rigs",
             "{python} -m agents.close_loop --rigs rigs --out agent",
+            "{python} -m docs.evidence.close_loop_picture agent --out agent",
         ],
         ["close_loop=close_loop.md", "close_loop_rigs=close_loop_rigs.md"],
         {"agent/close_loop.png": "docs/images/closing_the_loop.png"}, _two_tables,

@@ -58,20 +58,19 @@ def close_loop(
     engine: Engine = "local",
     jobs: Jobs = 1,
     cells: Cells = None,
-    pictures: Pictures = True,
     seed: Seed = 0,
 ) -> None:
     """Measure what a repaired model is worth to a controller.
 
     Hides effects, diagnoses, tunes controllers on the model as given, the repaired and the true model, and scores them on
-    the hidden rigs; writes close_loop.json, close_loop.md, a picture and the rigs' models.
+    the hidden rigs; writes close_loop.json, close_loop.md, traces.json and the rigs' models.
     """
     with writing(out) as folder:
         from hydro_env.experiments import close_loop as work
         from hydro_env.experiments.close_loop_summary import summary
 
         settings = work.Settings(tuple(case or work.CASES), seeds, seed)
-        print(summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine, pictures=pictures)))
+        print(summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine)))
 
 
 def pdf(

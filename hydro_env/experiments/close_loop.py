@@ -31,7 +31,6 @@ from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, 
 from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
-from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
@@ -214,15 +213,14 @@ class Settings:
 
 def run(
     out: str | Path, settings: Settings | None = None, *, cells: str | Path | None = None, jobs: int = 1,
-    engine: str = "local", pictures: bool = True, progress: bool = True,
+    engine: str = "local", progress: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
-    """Closes the loop on every case and seed; writes close_loop.json, close_loop.md, rigs/ and, if asked, a picture.
+    """Closes the loop on every case and seed; writes close_loop.json, traces.json, close_loop.md and rigs/.
 
     Args:
         out: an existing folder.
         cells: folder that keeps what is done, so that a run that was stopped goes on; None: nothing is kept.
         jobs, engine: see `hydro_env.parallel`.
-        pictures: whether to draw close_loop.png (needs the extra `report`).
         progress: whether to show progress bars.
 
     Returns the content of close_loop.json. InputError if nothing could be done.
@@ -250,7 +248,7 @@ def run(
         "summary": collect(scores), "failed": failed,
     }  # fmt: skip
     write_rigs(out / "rigs", rigs)
-    write(out, data, pictures)
+    write(out, data)
     return data
 
 
@@ -280,15 +278,10 @@ def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
-    """Writes close_loop.json, its traces of the first scenario (traces.json), close_loop.md and close_loop.png."""
+def write(out: Path, data: Mapping[str, Any]) -> None:
+    """Writes close_loop.json, its traces of the first scenario (traces.json) and close_loop.md."""
     scores = [{k: v for k, v in s.items() if k != "difference_rpm"} for s in data["scores"]]
     traces = [s for s in data["scores"] if s["scenario"] == SCENARIOS[0] and "difference_rpm" in s]
     write_json(out / "close_loop.json", {**data, "scores": scores})
     write_json(out / "traces.json", traces, indent=None)
     write_text(out / "close_loop.md", table(data) + "\n")
-    if pictures:
-        with beside_results(path := out / "close_loop.png"):
-            from hydro_env.experiments.close_loop_picture import draw
-
-            draw(data, path)

@@ -160,6 +160,10 @@ def test_collect_counts_only_rigs_that_all_models_have() -> None:
 
 def test_table_and_picture(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
+    pytest.importorskip("stable_baselines3")
+    from agents import close_loop as agent
+    from docs.evidence.close_loop_picture import draw
+
     scores = rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2})
     shipped = [{**s, "tuned_on": "none"} for s in rows({"wrong": 0.5})]
     for s in (*scores, *shipped):
@@ -169,6 +173,7 @@ def test_table_and_picture(tmp_path: Path) -> None:
     data = {"schema": close_loop.SCHEMA, "rigs": rigs, "scores": [*scores, *shipped], "failed": [],
             "summary": close_loop_summary.collect([*scores, *shipped])}  # fmt: skip
     close_loop.write(tmp_path, data)
+    draw(agent.read(tmp_path), tmp_path / "close_loop.png")
     assert (tmp_path / "close_loop.png").stat().st_size > 10_000
     text = (tmp_path / "close_loop.md").read_text()
     assert "-75 %" in text and "as shipped" in text
@@ -226,7 +231,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
 def test_the_chain_goes_on_where_it_stopped(quick: list[Any], tmp_path: Path) -> None:
     def go() -> dict[str, Any]:
         return run_loop(
-            tmp_path, cases=["dead_zone"], seeds=1, cells=tmp_path / "cells", generations=2, pictures=False,
+            tmp_path, cases=["dead_zone"], seeds=1, cells=tmp_path / "cells", generations=2,
             progress=False,
         )  # fmt: skip
 
@@ -257,7 +262,7 @@ def test_the_command_goes_on_after_an_interruption(
         quick.clear()
         with pytest.raises(SystemExit) as end:
             cli.main(
-                ["close-loop", "--case", "dead_zone", "--seeds", "1", "--no-pictures",
+                ["close-loop", "--case", "dead_zone", "--seeds", "1",
                  "--cells", str(tmp_path / "cells"), "--out", str(tmp_path / "out")]
             )  # fmt: skip
         return int(end.value.code or 0), capsys.readouterr().err.splitlines()[-1]
@@ -316,7 +321,7 @@ def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: P
     rigs = tmp_path / "rigs"
     rigs.mkdir()
     if missing != "nothing":
-        run_loop(rigs, cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
+        run_loop(rigs, cases=["dead_zone"], seeds=1, generations=2, progress=False)
     if missing == "traces":
         (rigs / "traces.json").unlink()
     if missing == "schema":
@@ -324,18 +329,16 @@ def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: P
     if missing == "rigs":
         (rigs / "rigs" / "dead_zone_0" / "repaired.yaml").unlink()
     with pytest.raises(InputError, match="repaired.yaml" if missing == "rigs" else str(rigs)):
-        agent.run(rigs, tmp_path / "out", read_config(agent.CONFIG), pictures=False, progress=False)
+        agent.run(rigs, tmp_path / "out", read_config(agent.CONFIG), progress=False)
     assert not (tmp_path / "out" / "runs").exists()
 
 
 def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
-    found = run_loop(
-        tmp_path, cases=["dead_zone"], seeds=2, seed=8, generations=2, pictures=False, progress=False
-    )
+    found = run_loop(tmp_path, cases=["dead_zone"], seeds=2, seed=8, generations=2, progress=False)
     assert [row["rig"] for row in found["rigs"]] == ["dead_zone_8"]
     assert found["failed"] == [{"task": "dead_zone_9", "reason": "RuntimeError: no such rig"}]
     with pytest.raises(InputError, match="no such rig"):
-        run_loop(tmp_path, cases=["dead_zone"], seeds=1, seed=9, pictures=False, progress=False)
+        run_loop(tmp_path, cases=["dead_zone"], seeds=1, seed=9, progress=False)
 
 
 def test_the_agent_beside_the_controllers(
@@ -347,7 +350,7 @@ def test_the_agent_beside_the_controllers(
     from hydro_env.training.config import read_config
 
     (tmp_path / "rigs").mkdir()
-    run_loop(tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
+    run_loop(tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, progress=False)
     whole = read_config(agent.CONFIG)
     config = replace(
         whole, num_envs=4, num_steps=64, hyper={**whole.hyper, "n_steps": 8, "batch_size": 32, "n_epochs": 1},
@@ -356,7 +359,7 @@ def test_the_agent_beside_the_controllers(
     )  # fmt: skip
 
     def go(config: Any) -> dict[str, Any]:
-        return agent.run(tmp_path / "rigs", tmp_path / "out", config, pictures=False, progress=False)
+        return agent.run(tmp_path / "rigs", tmp_path / "out", config, progress=False)
 
     first = go(config)
     trained = {path.parent.name for path in (tmp_path / "out" / "runs").glob("*/policy.npz")}
@@ -386,9 +389,7 @@ def test_rigs_share_the_wrong_model_and_no_seed() -> None:
 @pytest.mark.slow
 def test_a_hidden_dead_zone_is_repaired(tmp_path: Path) -> None:
     """The whole chain on one rig: what was named is right, and the controller made from the model gains by it."""
-    found = run_loop(
-        tmp_path, cases=["dead_zone"], seeds=1, seed=7, generations=3, pictures=False, progress=False
-    )
+    found = run_loop(tmp_path, cases=["dead_zone"], seeds=1, seed=7, generations=3, progress=False)
     assert found["rigs"][0]["right"]
     row = next(r for r in found["summary"] if r["controller"] == "model_inverse")
     assert row["repaired"]["mean"] < 0.5 * row["wrong"]["mean"]

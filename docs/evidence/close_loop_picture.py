@@ -1,13 +1,21 @@
-"""The picture of `hydro-env close-loop`: every hidden rig before and after the repair, and one of them in time."""
+"""The picture of closing the loop: every hidden rig before and after the repair, and one of them in time.
+
+    python -m docs.evidence.close_loop_picture FOLDER --out DIR
+
+`FOLDER` is what `hydro-env close-loop` or `python -m agents.close_loop` wrote; writes close_loop.png.
+"""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from agents.close_loop import read
+from agents.command import run_command
 from hydro_env.pages import COLOURS, RC, png
 
 SOURCES = {"wrong": "as given", "repaired": "repaired", "true": "true"}
@@ -104,3 +112,25 @@ def _traces(axis: Any, data: Mapping[str, Any], name: str) -> None:
     )
     axis.set_title(f"{NAMES.get(name, name)} on rig {rig}\nhidden: {hidden}", loc="left", fontsize=9)
     axis.legend(fontsize=8, frameon=False)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m docs.evidence.close_loop_picture",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+
+    def work() -> None:
+        data = read(given.folder)
+        given.out.mkdir(parents=True, exist_ok=True)
+        draw(data, given.out / "close_loop.png")
+
+    run_command(work)
+
+
+if __name__ == "__main__":
+    main()
