@@ -38,6 +38,8 @@ from .stages import (
     verdict,
     warnings,
 )
+from .stages.candidates import Selection
+from .stages.verdict import Confirmed
 
 #: The settings unless others are given.
 DEFAULT = Settings()
@@ -50,12 +52,13 @@ STAGES: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("screening every effect", screening.run),
     ("selecting effects", selection.run),
     ("verdict of the fit logs", verdict.decide),
-    ("locating the residual", localisation.run),
     ("correcting the form of what is named", form_correction.run),
     ("settling on the minimum", uncertainty.settle),
     ("uncertainty", uncertainty.run),
     ("validation on held-out logs", validation.run),
     ("verdict of the held-out logs", verdict.confirm),
+    ("leaving out what may be absent", selection.without_weakest),
+    ("locating the residual", localisation.run),
     ("naming", naming.run),
     ("next experiment", next_experiment.run),
     ("warnings", warnings.run),
@@ -124,13 +127,21 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
             break
         calibrated = following
     logs = selected.logs
-    first = do(verdict.decide, calibrated, selected)
-    locations = do(localisation.run, logs.rig, selected.calibrated, first)
-    models = do(form_correction.run, calibrated.given, selected, first, forms)
-    models = do(uncertainty.settle, logs, models)
-    models = do(uncertainty.run, logs, models)
-    proofs = do(validation.run, logs, models)
-    found = do(verdict.confirm, selected, first, models, proofs)
+
+    def judged(chosen: Selection) -> Confirmed:
+        first = do(verdict.decide, calibrated, chosen)
+        models = do(form_correction.run, calibrated.given, chosen, first, forms)
+        models = do(uncertainty.run, logs, do(uncertainty.settle, logs, models))
+        return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))
+
+    fewer, found = selected, judged(selected)
+    again = found
+    while again.absent and len(fewer.accepted) > 1:
+        fewer = do(selection.without_weakest, fewer, again.absent)
+        again = judged(fewer)
+    if again.verdict == "effects":
+        selected, found = fewer, again
+    locations = do(localisation.run, logs.rig, selected.calibrated, found.verdict)
     effects = do(naming.run, selected, found)
     state = Diagnosis(
         **vars(found), logs=logs, findings=calibrated.findings, screening=screened, selection=selected, locations=locations,

@@ -83,7 +83,7 @@ def test_a_name_that_leaves_more_than_the_noise_is_less_likely(left: float, fact
     selection, found = _selection(search), search.present
     proof = Proof(search.fit.rig, {(0, "speed"): {"noise": 1.0, "after": left}}, {})
     models = Models({}, search.calibrated, found, found, {})
-    confirmed = Confirmed("effects", models, Proofs(proof, proof, proof, proof), [], [])
+    confirmed = Confirmed("effects", models, Proofs(proof, proof, proof, proof), [], [], [])
     (named,) = naming.run(selection, confirmed)
     (bare,) = naming.name_effects(selection, found)
     assert bare.probability > 0.99

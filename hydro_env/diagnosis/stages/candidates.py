@@ -17,6 +17,7 @@ from ..logs import Estimates, Logs, place_of
 ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
+ABSENT = "its interval holds the neutral value"
 TOO_LITTLE = "explains too little at first look"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished: nobody would look for so little.
 NEUTRAL_SHARE = 0.02

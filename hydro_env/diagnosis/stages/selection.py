@@ -18,7 +18,7 @@ from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import best_of_each, best_on_early_window, extensions
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
-from .candidates import OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
+from .candidates import ABSENT, OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
 from .screening import Screening, screen
 from .search import CHEAP_ITERATIONS, Search, short_refit
@@ -44,6 +44,23 @@ def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
     fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
     found = search.calibrated, search.present, search.accepted, search.candidates
     return Selection(replace(logs, fit=fit), *found, placebo, search.forms)
+
+
+def without_weakest(selection: Selection, absent: Sequence[Accepted]) -> Selection:
+    """The same without that one of the `absent` effects that gains least; the rest is settled again."""
+    least = min(absent, key=lambda k: k.gain - k.needed)
+    on = (None, least.channel)
+    of = [p for p in distinct(selection.estimates) if least.channel is None or p.channel in on]
+    less = {p: p.without(least.effect, least.channel) for p in of}
+    solve(selection.logs.fit, [*less.values()], SETTLE_ITERATIONS)
+    estimates = {c: less.get(p, p) for c, p in selection.estimates.items()}
+    accepted = [k for k in selection.accepted if k is not least]
+    own = (least.effect, least.channel)
+    candidates = [
+        replace(k, outcome=ABSENT) if k.accepted and (k.effect, k.channel) == own else k
+        for k in selection.candidates
+    ]
+    return replace(selection, estimates=estimates, accepted=accepted, candidates=candidates)
 
 
 def _placebos(search: Search) -> Estimates:

@@ -56,13 +56,15 @@ def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bo
 @dataclass(frozen=True)
 class Confirmed:
     """The verdict that the held-out logs leave, why it is `unknown` though names explain the fit logs (`doubts`), and why these
-    logs seem to be of another rig or state (`elsewhere`), with the models that are reported and their proofs."""
+    logs seem to be of another rig or state (`elsewhere`), with the models that are reported and their proofs. `absent` are named
+    effects without which the logs may do."""
 
     verdict: str
     models: Models
     proofs: Proofs
     doubts: list[str]
     elsewhere: list[str]
+    absent: list[Accepted]
 
 
 def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) -> Confirmed:
@@ -75,9 +77,10 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     judged = verdict == "effects" and not elsewhere
     found = doubts(logs, selection.accepted, models.final, proofs) if judged else []
     if not found:
-        return Confirmed(verdict, models, proofs, [], elsewhere)
+        return Confirmed(verdict, models, proofs, [], elsewhere, [])
     bare = uncertainty.run(logs, models.as_named())
-    return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
+    absent = list(_absent(logs, selection.accepted, models.final))
+    return Confirmed("unknown", bare, validation.run(logs, bare), found, [], absent)
 
 
 def _elsewhere(logs: Logs, proofs: Proofs) -> Iterator[str]:
@@ -103,21 +106,22 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
     found: list[str] = []
     for c in dict.fromkeys(k.channel for k in accepted if k.channel is not None):
         found += _doubts_of_channel(logs, final, c, proofs)
-    for one in accepted if logs.fit.settings.uses("doubt_neutral") else ():
-        c = logs.rig.channels[0] if one.channel is None else one.channel
-        if _may_be_absent(final[c], one.effect, c):
-            place = "the rig" if one.channel is None else f"channel {c + 1}"
-            found.append(f"{CATALOGUE[one.effect].title} of {place}: its interval holds the neutral value")
+    for one in _absent(logs, accepted, final):
+        place = "the rig" if one.channel is None else f"channel {one.channel + 1}"
+        found.append(f"{CATALOGUE[one.effect].title} of {place}: its interval holds the neutral value")
     return list(dict.fromkeys(found))
 
 
-def _may_be_absent(estimate: Estimate, effect: str, channel: int) -> bool:
-    """Whether the intervals of all that gives an effect its size hold the neutral values."""
-    values = effect_values(estimate, effect, channel)
-    sizes = [u for u in estimate.unknowns if u.effect == effect and u.parameter in values]
-    sizes = [u for u in sizes if CATALOGUE[effect].parameter(u.parameter).carries_size]
-    ends = [(values[u.parameter].low, neutral_of(u), values[u.parameter].high) for u in sizes]
-    return bool(ends) and all(low <= neutral <= high for low, neutral, high in ends)
+def _absent(logs: Logs, accepted: Sequence[Accepted], final: Estimates) -> Iterator[Accepted]:
+    """The effects of which the intervals of all that gives them their size hold the neutral values."""
+    for one in accepted if logs.fit.settings.uses("doubt_neutral") else ():
+        c = logs.rig.channels[0] if one.channel is None else one.channel
+        values = effect_values(final[c], one.effect, c)
+        sizes = [u for u in final[c].unknowns if u.effect == one.effect and u.parameter in values]
+        sizes = [u for u in sizes if CATALOGUE[one.effect].parameter(u.parameter).carries_size]
+        ends = [(values[u.parameter].low, neutral_of(u), values[u.parameter].high) for u in sizes]
+        if ends and all(low <= neutral <= high for low, neutral, high in ends):
+            yield one
 
 
 def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> Iterator[str]:
