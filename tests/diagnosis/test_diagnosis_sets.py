@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.stages import naming
 from hydro_env.diagnosis.stages.candidates import (
+    ABSENT,
     ACCEPTED,
     OUTDONE,
     Accepted,
@@ -21,7 +23,7 @@ from hydro_env.diagnosis.stages.candidates import (
 )
 from hydro_env.diagnosis.stages.form_correction import Models
 from hydro_env.diagnosis.stages.search import Search
-from hydro_env.diagnosis.stages.selection import better_set
+from hydro_env.diagnosis.stages.selection import better_set, without_weakest
 from hydro_env.diagnosis.stages.validation import Proof, Proofs
 from hydro_env.diagnosis.stages.verdict import Confirmed
 from hydro_env.practice.generate import make_practice
@@ -75,6 +77,31 @@ def test_an_effect_that_both_sets_have_is_not_doubted_for_the_other_set() -> Non
     alone, several = (_search({ONE[0]: 0.2}, names) for names in (ONE, (*ONE, TWO[0])))
     best = better_set(several, alone)
     assert [(k.effect, k.rival) for k in best.accepted] == [("flow_gain_nonlinearity", np.inf)]
+
+
+def test_what_may_be_absent_is_left_out_and_the_rest_is_settled() -> None:
+    search = _search({ONE[0]: 0.2}, (*ONE, TWO[0]))
+    search.accepted[1] = replace(search.accepted[1], gain=60.0)
+    selection = replace(_selection(search), candidates=search.candidates)
+    less = without_weakest(selection, search.accepted)
+    assert [k.effect for k in less.accepted] == ["flow_gain_nonlinearity"]
+    assert [k.outcome for k in less.candidates] == [ACCEPTED, ABSENT]
+    pairs = zip(less.estimates[0].unknowns, less.estimates[0].q, strict=True)
+    values = {u.effect: u.value(q) for u, q in pairs if u.effect}
+    assert values == {"flow_gain_nonlinearity": pytest.approx(0.2, abs=0.01)}
+    assert [k.outcome for k in selection.candidates] == [ACCEPTED, ACCEPTED] and len(selection.accepted) == 2
+
+
+@pytest.mark.slow
+def test_a_second_name_that_may_be_absent_costs_no_confirmation(tmp_path: Path) -> None:
+    """Speed and load alone: beside the dead zone a delay and a sensor's scale take up what the laws' form leaves."""
+    make_practice(
+        ["dead_zone:2"], record=["setpoint", "load"], duration=6.0, rate=500.0, seed=650003, base_error=0.15,
+        runs=("fit_2", "sealed"),
+    ).write(tmp_path)  # fmt: skip
+    found = diagnose([tmp_path / "fit_2.csv"], [tmp_path / "sealed.csv"], model=tmp_path / "model.yaml")
+    assert [(e.name, e.channel) for e in found.effects] == [("dead_zone", "2")]
+    assert found.verdict == "effects" and found.effects[0].indistinguishable_from == ["spring_preload"]
 
 
 @pytest.mark.parametrize(("left", "factor"), [(1.05, 1.0), (1.2, naming.INCOMPLETE)])
