@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ..errors import InputError, suggestion
+from ..errors import check_known
 
 #: What each rule does, by its name.
 RULES = {
@@ -61,15 +61,11 @@ class Settings:
     #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
     #: Rules that are switched off.
-    rules_off: Collection[str] = frozenset()
+    rules_off: Collection[str] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rules_off", frozenset(self.rules_off))
-        for name in self.rules_off:
-            if name not in RULES:
-                raise InputError(f"unknown rule {name!r}: {suggestion(name, RULES)}")
+        check_known("unknown rule", self.rules_off, RULES)
 
     def uses(self, name: str) -> bool:
         """Whether a rule is on."""
-        assert name in RULES, name
         return name not in self.rules_off

@@ -44,26 +44,25 @@ from .stages.verdict import Confirmed
 #: The settings unless others are given.
 DEFAULT = Settings()
 #: The stages in their order, each with what a progress bar says.
-STAGES: tuple[tuple[str, Callable[..., Any]], ...] = (
-    ("model as given", consistency.run),
-    ("calibrating known parameters", calibration.run),
-    ("correcting the form of given effects", form_correction.of_given),
-    ("does a coupling rattle?", rattling.run),
-    ("screening every effect", screening.run),
-    ("selecting effects", selection.run),
-    ("verdict of the fit logs", verdict.decide),
-    ("correcting the form of what is named", form_correction.run),
-    ("settling on the minimum", uncertainty.settle),
-    ("uncertainty", uncertainty.run),
-    ("validation on held-out logs", validation.run),
-    ("verdict of the held-out logs", verdict.confirm),
-    ("leaving out what may be absent", selection.without_weakest),
-    ("locating the residual", localisation.run),
-    ("naming", naming.run),
-    ("next experiment", next_experiment.run),
-    ("warnings", warnings.run),
-)
-_TEXTS = {stage: text for text, stage in STAGES}
+STAGES: dict[Callable[..., Any], str] = {
+    consistency.run: "model as given",
+    calibration.run: "calibrating known parameters",
+    form_correction.of_given: "correcting the form of given effects",
+    rattling.run: "does a coupling rattle?",
+    screening.run: "screening every effect",
+    selection.run: "selecting effects",
+    verdict.decide: "verdict of the fit logs",
+    form_correction.run: "correcting the form of what is named",
+    uncertainty.settle: "settling on the minimum",
+    uncertainty.run: "uncertainty",
+    validation.run: "validation on held-out logs",
+    verdict.confirm: "verdict of the held-out logs",
+    selection.without_weakest: "leaving out what may be absent",
+    localisation.locate: "locating the residual",
+    naming.run: "naming",
+    next_experiment.run: "next experiment",
+    warnings.run: "warnings",
+}
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
@@ -112,7 +111,7 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
     """All stages in their order, each with what it needs of those before; without the time that they took."""
 
     def do(stage: Callable[Given, Result], *needs: Given.args, **more: Given.kwargs) -> Result:
-        say(_TEXTS[stage])
+        say(STAGES[stage])
         return stage(*needs, **more)
 
     given = do(consistency.run, logs, accept)
@@ -141,7 +140,8 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
         again = judged(fewer)
     if again.verdict == "effects":
         selected, found = fewer, again
-    locations = do(localisation.run, logs.rig, selected.calibrated, found.verdict)
+    missing = found.verdict not in ("none", "calibration")
+    locations = do(localisation.locate, logs.rig, selected.calibrated) if missing else []
     effects = do(naming.run, selected, found)
     state = Diagnosis(
         **vars(found), logs=logs, findings=calibrated.findings, screening=screened, selection=selected, locations=locations,

@@ -155,7 +155,7 @@ def _diagnose(
 
     from hydro_env.diagnosis import STAGES, command, workflow
 
-    numbers = {text: number for number, (text, _) in enumerate(STAGES)}
+    numbers = {text: number for number, text in enumerate(STAGES.values())}
     simulations, counting = 0, threading.Lock()
 
     def progress(text: str, more: int) -> None:

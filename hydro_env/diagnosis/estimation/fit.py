@@ -181,11 +181,10 @@ class Fit:
 
     def cost_of_noise(self, estimate: Estimate) -> float:
         """The cost of an error that is the noise alone, without priors."""
-        found = 0.0
-        for channel in self.channels_of(estimate):
-            for s in self.rig.segments[channel]:
-                found += float(s.blocks[1].sum() * np.log(2.0 * self.noise[channel, s.signal] ** 2))
-        return found
+        segments = [s for c in self.channels_of(estimate) for s in self.rig.segments[c]]
+        return sum(
+            float(s.blocks[1].sum() * np.log(2.0 * self.noise[s.channel, s.signal] ** 2)) for s in segments
+        )
 
     def evaluate(self, estimates: Sequence[Estimate]) -> None:
         """Simulates every estimate and sets `simulated` and `cost`."""

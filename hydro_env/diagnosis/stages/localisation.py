@@ -106,11 +106,6 @@ class _Component:
         self.power = float(np.mean(self.error**2)) / max(noise, 1e-30) ** 2
 
 
-def run(rig: RigModel, calibrated: Estimates, verdict: str) -> list[Location]:
-    """Locates what the calibrated model leaves, where effects are missing."""
-    return [] if verdict in ("none", "calibration") else locate(rig, calibrated)
-
-
 def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
     """The equations that err beside the models `estimates` on the fit logs, largest share first."""
     found = []
