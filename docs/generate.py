@@ -377,7 +377,7 @@ def diagnosis_stages() -> str:
     """The stages in their order."""
     rows = [
         [number, f"`{sys.modules[stage.__module__].__name__.rpartition('.')[2]}`", text, _first_line(stage)]
-        for number, (text, stage) in enumerate(STAGES, 1)
+        for number, (stage, text) in enumerate(STAGES.items(), 1)
     ]
     return _table(["", "module in `hydro_env/diagnosis/stages`", "stage", "what it does"], rows)
 

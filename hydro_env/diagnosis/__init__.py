@@ -16,7 +16,7 @@ found.parameters["J_1"].estimate, found.residuals["speed_1_rpm"].after, found.mo
 
 from .calibration import Calibration, Residual, estimate
 from .result import Diagnosis
-from .settings import RULES, Settings
+from .settings import Settings
 from .workflow import STAGES, diagnose
 
-__all__ = ["RULES", "STAGES", "Calibration", "Diagnosis", "Residual", "Settings", "diagnose", "estimate"]
+__all__ = ["STAGES", "Calibration", "Diagnosis", "Residual", "Settings", "diagnose", "estimate"]

@@ -1,37 +1,13 @@
-"""What may be set for a diagnosis, and which of its rules are switched off.
-
-A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
-`diagnose(..., settings=Settings(rules_off=["grow_horizon"]))`.
-"""
+"""What may be set for a diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
-
-from ..errors import check_known
-
-#: What each rule does, by its name.
-RULES = {
-    "compare_sets": "compare a set of local effects with one that has an effect of the whole rig",
-    "compete_on_beginning": "compare all candidates on the beginning of the logs where the best one leaves something",
-    "correct_form": "correct the form of named effects",
-    "doubt_left": "reject names that leave much of a signal of the fit logs, whatever their form",
-    "doubt_neutral": "reject names whose interval holds the neutral value",
-    "doubt_worse": "reject names that make a signal worse of the held-out logs",
-    "follow_speed": "follow the measured speed where a coupling rattles, which multiplies every difference",
-    "grow_horizon": "fit what is far from the noise to the beginning of the logs first",
-    "restart_friction": "restart the calibration with other spool friction where a little more than noise is left",
-    "prefer_form": "drop an effect if another form of those beside it explains more",
-}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used.
-
-    InputError for a rule that does not exist.
-    """
+    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used."""
 
     #: Accepted chance of one superfluous effect: the `p` of PASTIS (Gerardos and Ronceray 2025).
     false_alarm: float = 0.01
@@ -60,12 +36,3 @@ class Settings:
     load_limit: float | None = None
     #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
-    #: Rules that are switched off.
-    rules_off: Collection[str] = ()
-
-    def __post_init__(self) -> None:
-        check_known("unknown rule", self.rules_off, RULES)
-
-    def uses(self, name: str) -> bool:
-        """Whether a rule is on."""
-        return name not in self.rules_off

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ from docs.evidence.blind_trials import __main__ as command
 from docs.evidence.blind_trials import running
 from docs.evidence.blind_trials.ablation import folder_without, write_ablation
 from docs.evidence.blind_trials.judging import covered
+from docs.evidence.blind_trials.rules import RULES
 from docs.evidence.blind_trials.running import Running, changed
-from hydro_env.diagnosis import RULES
 from hydro_env.diagnosis.estimation import gauss_newton
 from hydro_env.diagnosis.stages import validation, verdict
 from hydro_env.errors import InputError
@@ -128,17 +129,21 @@ def test_a_rule_is_compared_on_the_trials_that_ran_with_and_without_it(tmp_path:
 def test_rules_that_are_switched_off_reach_the_diagnosis_and_have_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    taken: dict[str, Any] = {}
+    seen: list[Any] = []
 
-    def diagnose(*_: object, **options: object) -> None:
-        taken.update(options)
+    def diagnose(*_: object, **__: object) -> None:
+        seen.append([getattr(module, name) for module, name in places])
         raise InputError("enough")
 
+    names = [name.rpartition(".") for changes in RULES.values() for name in changes]
+    places = [(sys.modules[f"hydro_env.diagnosis.{module}"], own) for module, _, own in names]
+    before = [getattr(module, name) for module, name in places]
     monkeypatch.setattr(running, "diagnose", diagnose)
     case = trials.Case("medium", ("load_bias:1",), 3)
     with pytest.raises(InputError, match="enough"):
-        trials.run_case(case, Running(duration=3.0, rate=100.0, rules_off=tuple(sorted(RULES)[:2])))
-    assert taken["settings"].rules_off == {*sorted(RULES)[:2]}
+        trials.run_case(case, Running(duration=3.0, rate=100.0, rules_off=tuple(RULES)))
+    assert seen == [[value for changes in RULES.values() for value in changes.values()]]
+    assert [getattr(module, name) for module, name in places] == before
     folders, some = [], sorted(RULES)[:2]
     monkeypatch.setattr(command, "run_trials", lambda out, *_, **__: folders.append(out) or [])
     monkeypatch.setattr("sys.argv", ["trials", "--out", str(tmp_path), "--without-rule", *reversed(some)])

@@ -7,13 +7,13 @@ import math
 from pathlib import Path
 
 from agents.command import run_command
-from hydro_env.diagnosis import RULES
 from hydro_env.limits import CORES, SEEDS, Limits
 
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
 from .judging import summary
 from .reliability import draw, of_trials
+from .rules import RULES
 from .running import Running, practice_logs, rows_of, run_trials
 from .tables import publish
 

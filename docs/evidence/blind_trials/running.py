@@ -30,6 +30,7 @@ from hydro_env.units import BAR, RPM
 
 from .cases import GROUPS, Case
 from .judging import covered, judge
+from .rules import RULES
 
 SCHEMA = "hydro_env/trials/4"
 
@@ -55,25 +56,29 @@ class Running:
 
 
 @contextmanager
-def changed(constants: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Gives constants of the diagnosis other values for a while ("estimation.fit.SMALL_LEVEL=2.0"), wherever they are used;
-    yields those that are fields of `Settings`, "settings.NAME=VALUE". InputError for one that is not there."""
-    before, fields = [], {}
+def changed(constants: Sequence[str], rules_off: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
+    """Gives constants of the diagnosis other values for a while ("estimation.fit.SMALL_SUM=0.3"), wherever they are used, and
+    switches rules off; yields constants that are fields of `Settings`, "settings.NAME=VALUE". InputError for one that is not
+    there."""
+    fields: dict[str, Any] = {}
+    before: list[tuple[Any, str, Any]] = []
+    texts = (text.partition("=") for text in constants)
+    wanted = [(name, ast.literal_eval(value)) for name, _, value in texts]
+    wanted += [each for n in rules_off for each in RULES[n].items()]
     try:
-        for text in constants:
-            name, _, value = text.partition("=")
+        for name, value in wanted:
             place, _, own = name.rpartition(".")
             home = Settings() if place == "settings" else sys.modules.get(f"hydro_env.diagnosis.{place}")
             if not hasattr(home, own):
-                raise InputError(f"--constant {text}: the diagnosis has no constant {name}")
+                raise InputError(f"--constant {name}: the diagnosis has no constant {name}")
             if place == "settings":
-                fields[own] = ast.literal_eval(value)
+                fields[own] = value
                 continue
             known = getattr(home, own)
             users = [m for n, m in sys.modules.items() if n.startswith("hydro_env.diagnosis")]
             for module in (m for m in users if getattr(m, own, None) is known):
                 before.append((module, own, known))
-                setattr(module, own, ast.literal_eval(value))
+                setattr(module, own, value)
         yield fields
     finally:
         for module, own, known in before:
@@ -169,8 +174,8 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
         if not case.twins:
             without += [twin for name in without for twin in CATALOGUE[name].indistinguishable_from]
         begin, cpu = time.perf_counter(), time.process_time()
-        with changed(how.constants) as fields:
-            settings = Settings(rules_off=how.rules_off, **fields)
+        with changed(how.constants, how.rules_off) as fields:
+            settings = Settings(**fields)
             data = diagnose(
                 files[:2],
                 files[2:],

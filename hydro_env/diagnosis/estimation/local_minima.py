@@ -69,8 +69,6 @@ def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
 # --- one estimate, on a growing horizon -------------------------------------------------------------------------------------
 def grow_horizon(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
     """Improves in place those of `estimates` that are far from the noise; returns the ones that became better."""
-    if not fit.settings.uses("grow_horizon"):
-        return []
     found = []
     for estimate in estimates:
         seen = fit.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), estimate))
@@ -199,7 +197,7 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate], iterations: int) -
     """
     rng = np.random.default_rng(0)
     live = [p for p in estimates if any(u.name in DRAWN for u in p.unknowns)]
-    for _ in range(MAX_TIMES if fit.settings.uses("restart_friction") else 0):
+    for _ in range(MAX_TIMES):
         live = [p for p in live if not fit.at_noise(p) and not fit.far_from_noise(p)]
         fields = [[_with_other_friction(p, n % 2 == 1, rng) for n in range(STARTS)] for p in live]
         for each in ROUNDS:

@@ -80,8 +80,7 @@ def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     """
     logs, found, every = calibrated.logs, dict(calibrated.estimates), []
     fit = logs.fit
-    able = fit.rig.has_hidden_states and fit.settings.uses("correct_form")
-    for p in [p for p in distinct(found) if able and not fit.at_noise(p)]:
+    for p in [p for p in distinct(found) if fit.rig.has_hidden_states and not fit.at_noise(p)]:
         tries = sorted(attempts(fit, p, [], shared=False), key=lambda t: -t.score)
         best = {(t.effect, t.channel): t for t in tries if t.score < p.cost}
         better = p
@@ -101,7 +100,7 @@ def run(given: Estimates, selection: Selection, verdict: str, before: Sequence[C
     """Corrects the form of what is named or given; `before` are the corrections that the calibrated estimates have."""
     fit, found = selection.logs.fit, selection.estimates
     final, corrections = (given, []) if verdict == "none" else (found, [*before])
-    if verdict in ("effects", "calibration") and fit.settings.uses("correct_form"):
+    if verdict in ("effects", "calibration"):
         named = [(k.effect, k.channel) for k in selection.accepted]
         final, more = correct_all(fit, found, named, selection.forms)
         corrections += more

@@ -39,7 +39,7 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     """
     logs, found = calibrated.logs, {}
     fit, rig = logs.fit, logs.rig
-    able = rig.has_hidden_states and EFFECT in rig.candidates() and fit.settings.uses("follow_speed")
+    able = rig.has_hidden_states and EFFECT in rig.candidates()
     for c, p in beside.items() if able else ():
         known = c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c)
         open_ = p.channel == c and not known and fit.unexplained(p, c)

@@ -84,8 +84,7 @@ def select(search: Search) -> Search:
     whole = len(search.fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
     leads = whole and rig_effect_leads(search)
     _search(search, leads)
-    compared = search.fit.settings.uses("compare_sets") or not search.accepted
-    if not (whole and compared and _may_be_outdone(search, leads)):
+    if not (whole and _may_be_outdone(search, leads)):
         return search
     other = Search(search.fit, search.calibrated, search.screening, search.seconds, dict(search.calibrated))
     _search(other, not leads)
@@ -184,7 +183,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     gains = {c: _gains(search, c, own) for c, own in refits.items()}
     # Before it is judged: in a local minimum the right one gains little, too.
     search.settle([own[0] for own in refits.values()])
-    if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
+    if fit.rig.has_hidden_states:
         again = _compete_on_beginning(search, refits)
         refits, gains = refits | again, gains | {c: _gains(search, c, own) for c, own in again.items()}
     for c, twins in _twins(search, refits, gains).items():
@@ -347,7 +346,7 @@ def prefer_form(search: Search) -> None:
     """Drops the last effect of a channel if another form of those accepted before, or of given ones, explains more: no rig has
     exactly the laws of the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
-    if not (fit.rig.has_hidden_states and fit.settings.uses("prefer_form")):
+    if not fit.rig.has_hidden_states:
         return
     for c in fit.rig.channels:
         for one in reversed(search.on(c)):

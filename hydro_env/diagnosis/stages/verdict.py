@@ -114,7 +114,7 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
 
 def _absent(logs: Logs, accepted: Sequence[Accepted], final: Estimates) -> Iterator[Accepted]:
     """The effects of which the intervals of all that gives them their size hold the neutral values."""
-    for one in accepted if logs.fit.settings.uses("doubt_neutral") else ():
+    for one in accepted:
         c = logs.rig.channels[0] if one.channel is None else one.channel
         values = effect_values(final[c], one.effect, c)
         sizes = [u for u in final[c].unknowns if u.effect == one.effect and u.parameter in values]
@@ -126,7 +126,7 @@ def _absent(logs: Logs, accepted: Sequence[Accepted], final: Estimates) -> Itera
 
 def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> Iterator[str]:
     fit, on_fit = logs.fit, proofs.judged_fit
-    uses, dynamic = fit.settings.uses, logs.rig.has_hidden_states
+    dynamic = logs.rig.has_hidden_states
     level = fit.levels(on_fit.traces["after"][c], c)
     both = fit, fit.on(logs.held_out)
     fit_apart, held_out_apart = (predictions_apart(each, final[c], c) for each in both)
@@ -139,13 +139,13 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
         silent = held_out_apart.get(signal, 0.0) > max(CANNOT_BE_PREDICTED, after / noise)
         clearly = after > WORSE * calibrated and after > WORSE_NOISE * noise
         worse = clearly or (dynamic and _worse(fitted) and _worse(entry))
-        if not silent and worse and uses("doubt_worse"):
+        if not silent and worse:
             yield f"{plain} is explained worse with the named effects than by calibration alone"
         times = fitted["after"] / fitted["noise"]
         # Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
         far = fitted["after"] > max(LEFT_NOISE * fitted["noise"], LEFT_SHARE * fitted["calibrated"])
         far = far and fit_apart.get(signal, 0.0) < times
-        if dynamic and far and level[signal] > LEFT_LEVEL and uses("doubt_left"):
+        if dynamic and far and level[signal] > LEFT_LEVEL:
             yield f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
 
 
