@@ -14,7 +14,7 @@ from dataclasses import field, fields
 from typing import Any
 
 TUNED = "tuned on `train`"
-"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/explanation/agents.md tells how."""
+"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/evidence/notes.md has the trials."""
 HAND = "set by hand"
 """Chosen once, never searched for."""
 

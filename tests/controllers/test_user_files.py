@@ -197,7 +197,7 @@ def test_other_archives_are_refused(folder: Path) -> None:
 
 
 def test_the_template_of_the_guide_drives(folder: Path) -> None:
-    guide = Path(__file__).parents[2] / "docs" / "howto" / "score_a_controller.md"
+    guide = Path(__file__).parents[2] / "docs" / "howto" / "write_a_controller.md"
     (template,) = re.findall(r"```python\n(# mine\.py.*?)```", guide.read_text(encoding="utf-8"), flags=re.S)
     (folder / "mine.py").write_text(template)
     got = scored("mine.py", "pid_paper")

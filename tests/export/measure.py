@@ -1,4 +1,4 @@
-"""Size and time of exported controllers: `python -m tests.export.measure` prints the table of docs/howto/use_in_other_tools.md.
+"""Size and time of exported controllers: `python -m tests.export.measure` prints the table of docs/howto/export_a_controller.md.
 
 Each sample of a recorded episode is timed in C, 50 times over; what a sample takes is its shortest time, which nothing has
 interrupted, and the worst sample of the episode is what the table shows. Compiled with `-std=c99 -O2`.

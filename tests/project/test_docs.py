@@ -93,6 +93,7 @@ def test_no_text_presupposes_the_papers_valves() -> None:
             assert not numbers.search(text), path
     for name in (
         "howto/score_a_controller.md",
+        "howto/write_a_controller.md",
         "howto/use_the_lab.md",
         "howto/measure_valves.md",
         "reference/environment.md",
@@ -182,8 +183,8 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
     "name",
     [
         "howto/describe_your_rig.md",
-        "howto/score_a_controller.md",
         "howto/train_an_agent.md",
+        "howto/write_a_controller.md",
         "howto/your_own_task.md",
         "reference/environment.md",
     ],
@@ -207,7 +208,7 @@ def test_the_model_file_of_the_guide(tmp_path: Path) -> None:
 def test_the_volume_hardly_matters(name: str) -> None:
     volumes = {"V": [[1e-4, 1e-4], [1e-3, 1e-3]]}
     peaks = run_paper(load_model(name), SETPOINT_STEPS, values=volumes, num_rigs=2).peak
-    text = (DOCS / "explanation" / "plant.md").read_text(encoding="utf-8")
+    text = (DOCS / "explanation" / "paper.md").read_text(encoding="utf-8")
     said = re.search(rf"from ([\d.]+) to ([\d.]+) rpm on `{name}`", text)
     assert said is not None
     assert [round(peak, 1) for peak in peaks] == [float(number) for number in said.groups()]

@@ -5,7 +5,7 @@ them while the rig is at rest, before the set-point first moves, and plans its c
 bench has found: nothing is probed, so that the shafts stand still until the set-point moves; edges and gains go on being
 estimated, since friction moves an edge by more than a bench can tell, and since valves change.
 
-Settings were found by an evolution strategy and by hand on pairs of `train` (docs/explanation/agents.md). Those that choose the
+Settings were found by an evolution strategy and by hand on pairs of `train` (docs/evidence/notes.md). Those that choose the
 place on the Pareto front of speed difference and tracking error are left to the user as gains.
 """
 
