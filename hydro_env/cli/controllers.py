@@ -31,8 +31,7 @@ ScoreSeed = Annotated[int | None, number(
 def tune(
     out: Out,
     controller: Annotated[str, Option(
-        help="Control law whose gains are tuned, or file.py:Class with gains declared in the class; `all`: every shipped "
-        "controller."
+        help="Control law whose gains are tuned, or file.py:Class with gains declared in the class."
     )] = "pid",
     plant: Plant = "paper_dead_zone",
     mismatch: Annotated[str, Option(
@@ -47,7 +46,6 @@ def tune(
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     name: Annotated[str | None, Option(help="Name of the controller on the leaderboard.")] = None,
-    only: Annotated[str | None, Option(help="With `all`: only these controllers, separated by commas.")] = None,
     linear: Annotated[
         bool, Option(help="PID gains from the linearised plant, compared with Table III of the paper.")
     ] = False,
@@ -55,16 +53,8 @@ def tune(
 ) -> None:  # fmt: skip
     """Tune the gains of a controller.
 
-    Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each shipped controller, with gains for
-    all control periods. If interrupted, the same command continues. Only --seed and --only apply then. `--linear` takes
-    --plant and --max-sensitivity.
+    Writes gains.json, which `benchmark` takes. `--linear` takes --plant and --max-sensitivity.
     """
-    if controller == "all":
-        from hydro_env.controllers.tuning.tune import run_all
-
-        names = run_all(out, names=only.split(",") if only else None, seed=seed)
-        print(f"In {out}: {', '.join(f'{name}.json' for name in names)}")
-        return
     with writing(out) as folder:
         if linear:
             from hydro_env.controllers.tuning import linearised as tuner

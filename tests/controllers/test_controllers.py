@@ -11,6 +11,7 @@ from scipy import signal
 from scipy.linalg import expm
 
 from agents.true_map import true_map
+from docs.evidence import shipped_gains
 from hydro_env.controllers import CONTROLLERS, LAWS, make_controller
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
 from hydro_env.controllers.classical.pid import TABLE_III, Pid, per_rpm
@@ -324,7 +325,7 @@ def test_a_search_says_how_far_it_came(tmp_path):
     assert "hardly better" in text and "Kp ended at the lower end" in text
 
 
-def test_tuning_all_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
+def test_tuning_what_ships_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     """What has been found is kept; a controller that is interrupted leaves nothing."""
     wanted, searched = ["pid_tuned", "servo_pid"], []
 
@@ -334,11 +335,11 @@ def test_tuning_all_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return {"gains": {"Kp": 0.1, "Ti": 0.1, "Td": 0.0}, "tuning": {"control_period_s": wanted.period}}
 
-    monkeypatch.setattr(tune, "search", quick)
+    monkeypatch.setattr(shipped_gains, "search", quick)
     with pytest.raises(KeyboardInterrupt):
-        tune.run_all(tmp_path / "new/gains", names=wanted)
+        shipped_gains.run(tmp_path / "new/gains", wanted)
     assert [path.name for path in (tmp_path / "new/gains").iterdir()] == ["pid_tuned.json"]
-    found = tune.run_all(tmp_path / "new/gains", names=wanted)
+    found = shipped_gains.run(tmp_path / "new/gains", wanted)
     periods = [
         (0.01, False),
         (0.005, True),
@@ -420,7 +421,7 @@ def test_shipped_gains_say_how_they_were_found():
         found = read_gains(entry.file)
         on_servo_valves = entry.build().plant == "servo"
         assert found.tuning["split"] == (None if on_servo_valves else "train"), entry.name
-        assert found.tuning["command"].startswith("hydro-env tune"), entry.name
+        assert found.tuning["command"].startswith("python -m docs.evidence.shipped_gains --only"), entry.name
         assert found.tuning["episodes"] > 0 and "seed" in found.tuning, entry.name
         json.dumps(found.tuning)
 

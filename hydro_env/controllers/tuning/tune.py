@@ -1,38 +1,17 @@
-"""Tunes a controller's gains on the training pairs: `hydro-env tune`; the search itself is in `tuning.search`.
-
-The controllers that ship (`--controller all`) are found by the same search, from nothing at `PERIOD`, then from the gains found
-there at each of `OTHER_PERIODS`. What has been found is kept when the command is interrupted, and not searched again.
-"""
+"""Tunes a controller's gains on the training pairs: `hydro-env tune`; the search itself is in `tuning.search`."""
 
 from __future__ import annotations
 
 import shlex
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.registry import law_of
-from hydro_env.controllers.tuning.gains import GainsFile, OtherPeriod, read_gains, write_gains
-from hydro_env.controllers.tuning.search import Search, Task, drive, search
+from hydro_env.controllers.tuning.gains import GainsFile, write_gains
+from hydro_env.controllers.tuning.search import Search, search
 from hydro_env.controllers.tuning.start import starts
-from hydro_env.errors import check_known
 from hydro_env.tasks import OWN
-
-PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
-
-
-COMMON: dict[str, Task] = {
-    "pid_tuned": Task("pid"),
-    "master_slave": Task("master_slave"),
-    "cross_coupled": Task("cross_coupled"),
-    "relative_coupling": Task("relative_coupling"),
-    "virtual_leader": Task("virtual_leader"),
-    "disturbance_observer": Task("disturbance_observer"),
-    "compensated": Task("compensated"),
-    "servo_pid": Task("ramped_pid", plant="servo", mismatch=None),
-}
-"""The controllers that ship with gains found by search, by the name they ship under."""
 
 
 def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, Any]:
@@ -58,7 +37,7 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
         name=name or task.law.rpartition(":")[2],
         controller=task.law,
         gains=found["gains"],
-        units=_units(law_of(task.law)),
+        units=units_of(law_of(task.law)),
         tuning=tuning,
     )
     write_gains(Path(out) / "gains.json", file)
@@ -84,44 +63,6 @@ def summary(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def run_all(
-    out: str | Path, *, names: list[str] | None = None, seed: int = 0, progress: bool = True
-) -> dict[str, GainsFile]:
-    """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods and writes `out/NAME.json`
-    for each as soon as it is found. One that is there already from the same command is kept.
-
-    InputError for a name that `COMMON` lacks, OSError for a folder that cannot be written.
-    """
-    check_known("--only", names or (), COMMON)
-    return {name: _tuned(name, Path(out), seed, progress) for name in names or COMMON}
-
-
-def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
-    """Gains of one of `COMMON`, from `out` if the same command has left them there."""
-    task, path = COMMON[name], out / f"{name}.json"
-    origin = {
-        "command": f"hydro-env tune --controller all --only {name} --seed {seed}",
-        "version": version("hydro_env"),
-        "plant_drive_rpm": list(drive(task.plant)),
-    }
-    if path.exists():
-        kept = read_gains(path)
-        if origin.items() <= kept.tuning.items():
-            return kept
-    out.mkdir(parents=True, exist_ok=True)  # before hours of work
-    own = search(Search(task, seed, PERIOD, progress=progress))
-    found = [
-        search(Search(task, seed, period, progress=progress), [own["gains"]]) for period in OTHER_PERIODS
-    ]
-    for each in (own, *found):
-        each["tuning"] = origin | each["tuning"]
-    others = {f"{p:g}": OtherPeriod(**each) for p, each in zip(OTHER_PERIODS, found, strict=True)}
-    plant = task.plant if task.mismatch is None else ""
-    units = _units(law_of(task.law))
-    file = GainsFile(name=name, controller=task.law, units=units, plant=plant, periods=others, **own)
-    write_gains(path, file)
-    return file
-
-
-def _units(law: type[Controller]) -> dict[str, str]:
+def units_of(law: type[Controller]) -> dict[str, str]:
+    """The units of a law's gains, by their names."""
     return {gain.name: gain.unit for gain in law.GAINS}
