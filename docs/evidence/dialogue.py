@@ -28,9 +28,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from agents.command import run_command
-from hydro_env.case.dialogue import next_question, recorded
+from hydro_env.case.dialogue import SURE, next_question, recorded
 from hydro_env.case.hypotheses import certainty, places_of
 from hydro_env.case.sensors import COST, SENSORS, Shown, shown
+from hydro_env.case.unseen import with_experiment
 from hydro_env.diagnosis import Diagnosis, Settings, diagnose
 from hydro_env.diagnosis.experiment_design import commands_csv, random_design
 from hydro_env.diagnosis.stages.next_experiment import max_load
@@ -115,6 +116,7 @@ def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[
 
 def _question(found: Diagnosis, rng: np.random.Generator, asked: bool) -> tuple[str, str | None] | None:
     """The commands to play next and the sensor to record; None where the dialogue ends."""
+    found = with_experiment(found) if asked and certainty(places_of(found)) < SURE else found
     places, sensor = places_of(found), shown(found, dict.fromkeys(SENSORS, COST)) if asked else Shown({})
     question, closed = next_question(found, places, sensor, "question.csv", may_ask=True)
     experiment = found.next_experiment

@@ -12,6 +12,7 @@ from ..diagnosis.logs import Logs
 from ..diagnosis.report import wording as words
 from ..diagnosis.stages.naming import UNKNOWN
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
+from ..diagnosis.stages.next_experiment import PARTED
 from ..errors import InputError
 from ..files import output_folder, write_text
 from ..pages import beside_results
@@ -20,6 +21,7 @@ from .folder import CaseFile, Place, Question, Round
 from .hypotheses import certainty, expected, places_of
 from .page import case_page
 from .sensors import SENSORS, Shown, costs_of, shown
+from .unseen import with_experiment
 
 #: From this probability of the best answer on a case is sure; names that leave something reach 0.88 (`naming.INCOMPLETE`).
 SURE = 0.9
@@ -106,6 +108,8 @@ def _diagnosed(
             mapping=mapping, **arguments,
         )  # fmt: skip
     number, places = len(case.asked) + 1, places_of(found)
+    if certainty(places) < SURE:
+        found = with_experiment(found)
     with_sensor = shown(found, costs_of(case.options["sensor"] or []))
     file, may_ask = f"question_{number}.csv", number <= case.options["questions"]
     question, closed = next_question(found, places, with_sensor, file, may_ask)
@@ -135,7 +139,8 @@ def next_question(
     if shown.sensor:  # in the place of what the catalogue knows of the pair
         why = why.partition("; or ")[0] + shown.words
     then = expected(places, shown.apart, found.logs.fit.settings.temper)
-    if design is not None and design.prediction is None and then - now < WORTH_ASKING:
+    shows = found.verdict in ("none", "calibration") and max(shown.apart.values(), default=0.0) >= PARTED
+    if design is not None and design.prediction is None and then - now < WORTH_ASKING and not shows:
         return None, f"{NOTHING_LEFT}: {why}"
     if not may_ask:
         return None, "questions used up"

@@ -2,7 +2,8 @@
 
 The probabilities are those of naming. Where nothing is named, the candidates that explain most share what unconfirmed names are
 worth, by their tempered deviance. Where parameters explain the logs, candidates count by what they gain beyond what they must
-pay for: that payment is the prior of the search (PASTIS, Gerardos and Ronceray 2025).
+pay for: that payment is the prior of the search (PASTIS, Gerardos and Ronceray 2025); effects that the logs would not show stay
+as likely as they were.
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ def _without_names(found: Diagnosis) -> dict[str, float]:
     for t in found.selection.candidates:
         if t.refitted and t.gain < t.needed:
             weights[t.effect] = max(weights.get(t.effect, 0.0), math.exp(0.5 * (t.gain - t.needed)))
+    # What the logs would not show keeps its prior: every second rig lacks an effect, each is as likely.
+    for s in (s for s in found.screening if not s.shows):
+        weights[s.effect] = weights.get(s.effect, 0.0) + 1.0 / len(found.screening)
     return {n: w / sum(weights.values()) for n, w in weights.items()}
 
 
@@ -71,7 +75,8 @@ def weight_of(apart: float, temper: float) -> float:
 def expected(places: Sequence[Place], apart: Distances, temper: float) -> float:
     """The same after an experiment in which models of two names are so far apart.
 
-    If one of them is right, the others keep the weight of their expected deviance. What no model stands for keeps its share.
+    If one of them is right, the others keep the weight of their expected deviance, and the likeliest is the best answer. What
+    no model stands for keeps its share.
     """
     return min(_expected(each, apart, temper) for each in places)
 
@@ -82,11 +87,14 @@ def _expected(place: Place, apart: Distances, temper: float) -> float:
 
     def kept(one: str, other: str) -> float:
         pair = models[one], models[other]
-        return weight_of(apart.get(pair, apart.get(pair[::-1], 0.0)), temper)
+        # An effect that no model stands for shows as little as none.
+        known = [d for n in pair if (d := apart.get((CALIBRATION, n))) is not None]
+        far = apart.get(pair, apart.get(pair[::-1], known[0] if len(known) == 1 else 0.0))
+        return weight_of(far, temper)
 
     right = 0.0
     for one, p in shares.items():
-        others = sum(q * kept(one, other) for other, q in shares.items() if other != one)
-        right += p * p / (p + others)
+        weights = [q if other == one else q * kept(one, other) for other, q in shares.items()]
+        right += p * max(weights) / sum(weights)
     best = max(shares.values(), default=0.0)
     return round(max(best, right), DIGITS)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from ..diagnosis import Diagnosis
 from ..diagnosis.experiment_design import Trial
 from ..diagnosis.report.wording import plain
-from ..diagnosis.stages.next_experiment import PARTED, questions
+from ..diagnosis.stages.next_experiment import PARTED
 from ..errors import InputError, suggestion
 from ..limits import Limits
 from .hypotheses import Distances, weight_of
+from .unseen import asked
 
 #: Sensors by the names of `hydro-env hide --record`, and the signals that they show.
 SENSORS: dict[str, tuple[str, ...]] = {
@@ -59,7 +60,7 @@ def shown(found: Diagnosis, costs: Mapping[str, float]) -> Shown:
         return Shown({})
     fit = found.logs.fit
     experiment = np.stack([design.command_V / np.array(fit.rig.model.pair("u_rated")), design.load], axis=-1)
-    with_each = apart_with(Trial(fit, questions(found)), experiment, costs)
+    with_each = apart_with(Trial(fit, asked(found)), experiment, costs)
     return chosen(design.apart, with_each, costs, fit.settings.temper)
 
 

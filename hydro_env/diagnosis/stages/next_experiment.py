@@ -9,8 +9,9 @@ stroke.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -56,14 +57,19 @@ class NextExperiment:
 
 def run(state: State) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
-    asked, wanted = questions(state), operations(state)
-    if (asked or wanted) and isinstance(state.rig, DynamicRig):
-        rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
-        design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
-        if design is not None:
-            names = sorted({name for question in asked for name in question.models})
-            return NextExperiment(_described(design), names, design)
-    return _in_words(state)
+    return proposed(state, questions(state), operations(state)) or _in_words(state)
+
+
+def proposed(
+    state: State, asked: Sequence[Question], wanted: Mapping[int, Operation] = MappingProxyType({})
+) -> NextExperiment | None:
+    """The experiment that shows best what is asked and wanted; None where there is none."""
+    if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
+        return None
+    rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
+    design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
+    names = sorted({name for question in asked for name in question.models})
+    return None if design is None else NextExperiment(_described(design), names, design)
 
 
 def max_load(state: State) -> float:

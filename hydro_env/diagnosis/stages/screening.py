@@ -97,9 +97,8 @@ def screen(
             if not fit.rig.has(name, channel):
                 effect = effect_in(fit.rig, name, channel)
                 known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
-                starts = effect_starts(effect, seconds)
-                if channel in settled:
-                    starts = [start for start in starts if _is_medium(effect, start)] or starts
+                looks = medium_starts if channel in settled else effect_starts
+                starts = looks(effect, seconds)
                 tries.append((effect, channel, [*starts, *(start for start in known if start not in starts)]))
     begun = [beside[c].with_effect(effect, start, c) for effect, c, starts in tries for start in starts]
     results = iter(fit.rig.predict([p.request() for p in begun]))
@@ -123,6 +122,12 @@ def screen(
             unprojected = sum(float(np.sum((each * noise[c].weights) ** 2)) for c, each in medium.items())
             found.append(Screening(effect.name, channel, start, gain, visible, unprojected))
     return sorted(found, key=lambda k: -k.gain)
+
+
+def medium_starts(effect: Effect, seconds: float) -> list[dict[str, float]]:
+    """First looks of medium size; all where there is none."""
+    starts = effect_starts(effect, seconds)
+    return [start for start in starts if _is_medium(effect, start)] or starts
 
 
 def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
