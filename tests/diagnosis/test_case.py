@@ -15,18 +15,19 @@ import pytest
 
 from hydro_env.case import dialogue, folder
 from hydro_env.case.folder import CaseFile, Place
-from hydro_env.case.hypotheses import certainty, expected
-from hydro_env.case.sensors import SENSORS, Shown, apart_with, chosen, costs_of
+from hydro_env.case.hypotheses import certainty, expected, places_of
+from hydro_env.case.sensors import SENSORS, Shown, apart_with, chosen, costs_of, shown
+from hydro_env.case.unseen import with_experiment
 from hydro_env.cli.main import run
-from hydro_env.diagnosis import Settings
+from hydro_env.diagnosis import Settings, diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals
 from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
 from hydro_env.diagnosis.experiment_design import Design, Question, Trial
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.naming import UNKNOWN, NamedEffect
-from hydro_env.diagnosis.stages.next_experiment import NextExperiment
+from hydro_env.diagnosis.stages.naming import PARAMETERS, UNKNOWN, NamedEffect
+from hydro_env.diagnosis.stages.next_experiment import CALIBRATION, PARTED, NextExperiment
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import CATALOGUE, load_model
@@ -265,6 +266,33 @@ def test_what_is_expected_follows_from_the_distance() -> None:
     places = [Place(channel="1", hypotheses={"a": 0.5, "b": 0.4, UNKNOWN: 0.1})]
     none, some, far = (expected(places, {("b", "a"): d}, 0.1) for d in (0.0, 0.5, 5.0))
     assert certainty(places) == none == 0.5 and 0.5 < some < far == pytest.approx(0.9, abs=1e-3)
+
+
+def test_what_no_model_stands_for_shows_as_little_as_none() -> None:
+    """Of two effects that the logs would not show the experiment shows one: the other keeps its share."""
+    places = [Place(channel="rig", hypotheses={PARAMETERS: 0.8, "a": 0.1, "b": 0.1})]
+    assert expected(places, {(CALIBRATION, "a"): 5.0}, 0.1) == pytest.approx(0.9, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_what_the_logs_would_not_show_is_asked_for(tmp_path: Path) -> None:
+    """Small commands do not reach the limit of a driver: calibration is enough, but not sure, and the experiment shows it."""
+    settings: dict[str, Any] = {
+        "effects": ["driver_saturation:2"], "base_error": 0.15, "severity": "small", "duration": 6.0, "rate": 500.0,
+        "seed": 687001,
+    }  # fmt: skip
+    make_practice(**settings, runs=("fit_2", "sealed")).write(tmp_path)
+    logs, sealed, model = [tmp_path / "fit_2.csv"], [tmp_path / "sealed.csv"], tmp_path / "model.yaml"
+    first = diagnose(logs, sealed, model=model)
+    assert first.verdict == "calibration" and not first.effects
+    assert 0.5 < certainty(places_of(first)) < dialogue.SURE
+    found = with_experiment(first)
+    question, closed = dialogue.next_question(found, places_of(found), shown(found, {}), "q.csv", True)
+    assert closed is None and question is not None and max(question.apart.values()) > PARTED
+    (tmp_path / "q.csv").write_text(str(found.next_experiment.csv()) if found.next_experiment else "")
+    make_practice(**settings, play=tmp_path / "q.csv").write(tmp_path / "answer")
+    second = diagnose([*logs, tmp_path / "answer" / "played.csv"], sealed, model=model)
+    assert [(e.name, e.channel) for e in second.effects] == [("driver_saturation", "2")]
 
 
 def test_costs_of_sensors() -> None:
