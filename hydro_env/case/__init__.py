@@ -1,1 +1,1 @@
-"""A case: a diagnosis that asks for experiments until it is sure. Its folder holds all logs and the story so far."""
+"""`hydro-env diagnose`: one diagnosis, or a case that asks for experiments until it is sure, in a folder with all logs."""

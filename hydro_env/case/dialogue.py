@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..diagnosis import Diagnosis, command
+from ..diagnosis import Diagnosis
 from ..diagnosis.logs import Logs
 from ..diagnosis.report import wording as words
 from ..diagnosis.stages.naming import UNKNOWN
@@ -16,6 +16,7 @@ from ..diagnosis.stages.next_experiment import PARTED
 from ..errors import InputError
 from ..files import output_folder, write_text
 from ..pages import beside_results
+from . import command
 from . import folder as cases
 from .folder import CaseFile, Place, Question, Round
 from .hypotheses import certainty, expected, places_of

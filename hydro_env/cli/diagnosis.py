@@ -135,7 +135,7 @@ def diagnose(
         if inspect is not None:
             _inspect(inspect, mapping, folder)
             return
-        from hydro_env.diagnosis import command
+        from hydro_env.case import command
 
         load_effects(effect_files or [])
         command.run(

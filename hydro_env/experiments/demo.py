@@ -20,10 +20,10 @@ from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
 from hydro_env.benchmark.cells import Conditions
 from hydro_env.benchmark.report import privileged_information
+from hydro_env.case import command as diagnosis
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.diagnosis import Settings
-from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text

@@ -153,7 +153,8 @@ def _diagnose(
 ) -> dict[str, str]:
     from loky import cpu_count
 
-    from hydro_env.diagnosis import STAGES, command, workflow
+    from hydro_env.case import command
+    from hydro_env.diagnosis import STAGES, workflow
 
     numbers = {text: number for number, text in enumerate(STAGES.values())}
     simulations, counting = 0, threading.Lock()

@@ -178,7 +178,7 @@ COMMANDS = {
 #: What takes long and writes nothing: its results are recorded in the first run and given back in all later ones.
 RECORDED = (
     ("hydro_env.experiments.reproduce", "reproduce"), ("hydro_env.experiments.reproduce", "sweep"),
-    ("hydro_env.practice.command", "make_practice"), ("hydro_env.diagnosis.command", "diagnose"),
+    ("hydro_env.practice.command", "make_practice"), ("hydro_env.case.command", "diagnose"),
     ("hydro_env.controllers.tuning.tune", "search"),
     ("hydro_env.experiments.close_loop", "run_tasks"), ("hydro_env.experiments.valve_test", "bench"),
     *(("hydro_env.experiments.speed", f"measure_{name}") for name in ("start", "batch", "errors", "single", "ratio", "effects")),

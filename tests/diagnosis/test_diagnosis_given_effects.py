@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hydro_env.case.command import run
 from hydro_env.diagnosis import Diagnosis, diagnose
-from hydro_env.diagnosis.command import run
 from hydro_env.diagnosis.estimation.unknowns import given_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request

@@ -11,8 +11,8 @@ import pytest
 
 from docs.evidence.blind_trials.rules import RULES
 from docs.evidence.blind_trials.running import changed
+from hydro_env.case.command import run
 from hydro_env.diagnosis import STAGES, diagnose
-from hydro_env.diagnosis.command import run
 from hydro_env.diagnosis.models.steady_valve import elementwise
 from hydro_env.diagnosis.stages.selection import without_weakest
 from hydro_env.errors import InputError

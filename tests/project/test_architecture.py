@@ -45,10 +45,10 @@ ALLOWED = {
     "export": "errors files ir plant units envs controllers",
     "training": "errors files reading validation pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks envs"
-    " valve_bench controllers diagnosis benchmark",
+    " valve_bench controllers diagnosis case benchmark",
     "live": "errors files reading units validation plant practice tasks measured envs controllers",
-    "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark"
-    " live",
+    "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis case"
+    " benchmark live",
     "cli": "errors files jit limits units pages plant practice tasks measured valve_bench data_sheet controllers datasets"
     " diagnosis case benchmark training experiments export fmu_plant live lab",
     "__main__": "cli",

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
     "hydro_env": 32_000,
-    "hydro_env/diagnosis": 4_735,
+    "hydro_env/diagnosis": 4_700,
     "hydro_env/export": 2_000,
     "hydro_env/experiments": 1_800,
 }

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..diagnosis import Diagnosis, diagnose
+from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
 from ..files import write_json, write_text
 from ..pages import beside_results, import_in_background
-from .result import Diagnosis
-from .stages.next_experiment import FILE as NEXT_EXPERIMENT
-from .workflow import diagnose
 
 
 def run(
