@@ -17,8 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from hydro_env.case import command
 from hydro_env.cli.main import run
-from hydro_env.diagnosis import Diagnosis, command, diagnose
+from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.estimation.fit import Fit, noise_of
 from hydro_env.diagnosis.estimation.gauss_newton import solve
