@@ -10,9 +10,8 @@ from typing import Any
 from ..diagnosis import Diagnosis
 from ..diagnosis.logs import Logs
 from ..diagnosis.report import wording as words
+from ..diagnosis.stages import next_experiment
 from ..diagnosis.stages.naming import UNKNOWN
-from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
-from ..diagnosis.stages.next_experiment import PARTED
 from ..errors import InputError
 from ..files import output_folder, write_text
 from ..pages import beside_results
@@ -136,18 +135,19 @@ def next_question(
         return None, "sure"
     if experiment is None:
         return None, NOTHING_LEFT
-    why, design = experiment.description.replace(NEXT_EXPERIMENT, file), experiment.design
+    why, design = experiment.description.replace(next_experiment.FILE, file), experiment.design
     if shown.sensor:  # in the place of what the catalogue knows of the pair
         why = why.partition("; or ")[0] + shown.words
     then = expected(places, shown.apart, found.logs.fit.settings.temper)
-    shows = found.verdict in ("none", "calibration") and max(shown.apart.values(), default=0.0) >= PARTED
+    unseen = found.verdict in ("none", "calibration")
+    shows = unseen and max(shown.apart.values(), default=0.0) >= next_experiment.PARTED
     if design is not None and design.prediction is None and then - now < WORTH_ASKING and not shows:
         return None, f"{NOTHING_LEFT}: {why}"
     if not may_ask:
         return None, "questions used up"
-    names = [n for p in places for n in p.hypotheses if n != UNKNOWN]
-    open_ = ", ".join(dict.fromkeys(map(words.plain, names[:4]))) or UNKNOWN
-    what = "best guess, not proven" if found.best_guess else "open"
+    names = [n for _, n in shown.apart] if unseen else [n for p in places for n in p.hypotheses]
+    open_ = ", ".join(dict.fromkeys([words.plain(n) for n in names if n != UNKNOWN][:4])) or UNKNOWN
+    what = "best guess, not proven" if found.best_guess else "these logs would not show" if unseen else "open"
     question = Question(
         why=f"{what}: {open_}; {why}", commands=None if design is None else file,
         record=[*recorded(found.logs), *filter(None, [shown.sensor])], sensor=shown.sensor,
