@@ -181,7 +181,7 @@ RECORDED = (
     ("hydro_env.practice.command", "make_practice"), ("hydro_env.case.command", "diagnose"),
     ("hydro_env.controllers.tuning.tune", "search"),
     ("hydro_env.experiments.close_loop", "run_tasks"), ("hydro_env.experiments.valve_test", "bench"),
-    *(("hydro_env.experiments.speed", f"measure_{name}") for name in ("start", "batch", "commands", "errors", "single", "effects")),
+    *(("hydro_env.experiments.speed", f"measure_{n}") for n in ("start", "batch", "commands", "errors", "single", "effects")),
 )  # fmt: skip
 
 
