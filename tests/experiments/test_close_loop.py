@@ -158,12 +158,8 @@ def test_collect_counts_only_rigs_that_all_models_have() -> None:
     assert first["better"] == 0 and first["change"]["mean"] == pytest.approx(1.0)
 
 
-def test_table_and_picture(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("stable_baselines3")
-    from agents import close_loop as agent
-    from docs.evidence.close_loop_picture import draw
-
+def _written(folder: Path) -> dict[str, Any]:
+    """A result of four rigs, written to a folder."""
     scores = rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2})
     shipped = [{**s, "tuned_on": "none"} for s in rows({"wrong": 0.5})]
     for s in (*scores, *shipped):
@@ -172,9 +168,23 @@ def test_table_and_picture(tmp_path: Path) -> None:
              "hidden": [{"name": "dead_zone", "channel": "1"}]} for c in "ab" for n in (0, 1)]  # fmt: skip
     data = {"schema": close_loop.SCHEMA, "rigs": rigs, "scores": [*scores, *shipped], "failed": [],
             "summary": close_loop_summary.collect([*scores, *shipped])}  # fmt: skip
-    close_loop.write(tmp_path, data)
+    close_loop.write(folder, data)
+    return data
+
+
+def test_picture(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("stable_baselines3")
+    from agents import close_loop as agent
+    from docs.evidence.close_loop_picture import draw
+
+    _written(tmp_path)
     draw(agent.read(tmp_path), tmp_path / "close_loop.png")
     assert (tmp_path / "close_loop.png").stat().st_size > 10_000
+
+
+def test_table(tmp_path: Path) -> None:
+    data = _written(tmp_path)
     text = (tmp_path / "close_loop.md").read_text()
     assert "-75 %" in text and "as shipped" in text
     assert len({line.count("|") for line in text.splitlines()}) == 1
