@@ -332,7 +332,7 @@ def _as_state(
     for paths in _together(controller).values():
         path, array = paths[0], arrays[paths[0]]
         name = _c_name(path)
-        while name in names.values():
+        while name in ("measured", "command", *names.values()):  # the first two are inputs and outputs
             name += "2"
         plain: Any = array.view(np.ndarray)
         for n, place in enumerate(np.ndindex(plain.shape)):

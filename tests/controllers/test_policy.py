@@ -74,6 +74,23 @@ def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, interface):
     assert np.abs(together).max() <= 1.0
 
 
+def test_a_policy_keeps_the_period_it_was_trained_with(tmp_path):
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2, 9))
+    content = recurrent()
+    metadata = {**json.loads(str(content["metadata"])), "env_kwargs": {"control_period": 0.02}}
+    usual = NumpyPolicy(write(tmp_path / "p.npz", **content))
+    slower = NumpyPolicy(write(tmp_path / "q.npz", **content | {"metadata": np.array(json.dumps(metadata))}))
+
+    def commands(policy, period, seen):
+        policy.reset(2, period)
+        return np.array([policy.act(each) for each in seen])
+
+    held = commands(usual, 0.0025, seen)
+    np.testing.assert_array_equal(held, held[::4].repeat(4, axis=0))
+    np.testing.assert_array_equal(held[::4], commands(usual, 0.01, seen[::4]))
+    np.testing.assert_array_equal(commands(slower, 0.01, seen)[::2], commands(slower, 0.02, seen[::2]))
+
+
 def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path):
     policy = NumpyPolicy(write(tmp_path / "p.npz", **recurrent()))
     together, again = drive(policy, 3, [5, 6, 7]), drive(policy, 3, [5, 6, 7])

@@ -282,6 +282,16 @@ def test_gains_and_period_of_ones_own(tmp_path: Path) -> None:
     assert np.array_equal(got, expected)
 
 
+@needs_compiler
+def test_a_network_keeps_the_period_it_was_trained_with(tmp_path: Path) -> None:
+    export_controller("c", "gru", tmp_path, 0.005, "paper_dead_zone", single=False)
+    controller = in_python("gru")
+    controller.reset(1, 0.005)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train", 0.005)
+    got = episode(InC(tmp_path, "gru", "-O2"), "setpoint_steps", "paper_dead_zone", "train", 0.005)
+    np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
 OWN_LAW = """\
 import numpy as np
 from hydro_env.controllers.base import Controller, Gain
@@ -291,9 +301,11 @@ class Mine(Controller):
 
     def start(self, measured):
         self.total = np.zeros_like(measured.speed)
+        self.measured, self._command = self.total + 0.0, self.total + 0.0
 
     def command(self, measured):
-        error = (measured.setpoint[:, None] - measured.speed) / 60.0
+        error = (measured.setpoint[:, None] - self.measured) / 60.0
+        self.measured, self._command = 0.5 * (self._command + measured.speed), measured.speed + 0.0
         self.total = np.clip(self.total + error * self.period, -1.0, 1.0)
         return self.gains["Kp"] * error + self.gains["Ki"] * self.total
 """

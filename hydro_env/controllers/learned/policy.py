@@ -30,6 +30,8 @@ RECURRENT_SCHEMA = "hydro_env/policy/3"
 
 Floats = NDArray[np.floating[Any]]
 
+CONTROL_PERIOD = 0.01
+"""With which a policy was trained whose file does not say it, s: the environment's own."""
 MAX_BYTES = 2**26
 """Size of all arrays of a policy file together; a network of some hundred units has less than 1 MiB."""
 MAX_LAYERS, MAX_UNITS, MAX_WEIGHT = 32, 4096, 1e6
@@ -228,9 +230,18 @@ class NumpyPolicy(Policy):
                 f"{path}: the network takes {self.network.num_inputs} inputs and gives {self.network.num_outputs} "
                 f"outputs, its interface wants {wanted[0]} and {wanted[1]}"
             )
-        self.reset(1, 0.01)
+        self.trained_period = _trained_period(self.metadata)
+        self.reset(1, self.trained_period)
 
     def outputs(self, inputs: Floats, fresh: bool) -> Floats:
         if fresh:
-            self._states = self.network.start(len(inputs))
-        return self.network(inputs, self._states)
+            self.memory = self.network.start(len(inputs))
+        return self.network(inputs, self.memory)
+
+
+def _trained_period(metadata: dict[str, Any]) -> float:
+    """The control period that a policy was trained with, s."""
+    given = metadata.get("env_kwargs")
+    period = given.get("control_period") if isinstance(given, dict) else None
+    usable = isinstance(period, int | float) and 0.0 < period < 1.0
+    return float(period) if usable else CONTROL_PERIOD

@@ -83,16 +83,16 @@ class FramesInterface:
 
     def start(self, observation: Floats) -> Floats:
         """Inputs at the first observation of all rigs; forgets everything before."""
-        self._seen = np.tile(self._newest(observation), (1, self.frames))
+        self.seen = np.tile(self._newest(observation), (1, self.frames))
         return self._inputs()
 
     def see(self, observation: Floats) -> Floats:
         """Inputs at the next observation of all rigs, a control period later."""
-        self._seen = np.concatenate([self._seen[:, FRAME:], self._newest(observation)], axis=1)
+        self.seen = np.concatenate([self.seen[:, FRAME:], self._newest(observation)], axis=1)
         return self._inputs()
 
     def _inputs(self) -> Floats:
-        return with_errors(self._seen) if self.errors else self._seen
+        return with_errors(self.seen) if self.errors else self.seen
 
     def _newest(self, observation: Floats) -> NDArray[np.float32]:
         """The newest frame, whatever history the environment adds."""
@@ -101,26 +101,28 @@ class FramesInterface:
     def command(self, outputs: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
         outputs = np.clip(outputs, -1.0, 1.0)
-        return (
-            np.clip(self._seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs
-        )
+        return np.clip(self.seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs
 
 
 class Policy:
     """A network behind an interface as a controller: `reset`, then `act` once a control period, one row per rig.
 
-    Subclasses implement `outputs`. `needs` and `plant` as in `hydro_env.controllers.base.Controller`: it knows nothing but the
-    measurements.
+    Subclasses implement `outputs` and keep in `memory` the states of recurrent layers. `needs` and `plant` as in
+    `hydro_env.controllers.base.Controller`: it knows nothing but the measurements. With a `trained_period` (s) it decides as
+    nearly that often as whole control periods allow, and holds its commands between (a multirate loop; Franklin, Powell and
+    Workman, Digital control of dynamic systems, 1998).
     """
 
     needs = "measurements"
     plant: str | None = None
+    trained_period: float | None = None
     name: str
     interface: FramesInterface
 
     def reset(self, num_rigs: int, control_period: float) -> None:
-        """Forgets the last episode. The policy drives at any control period (s) in the same way."""
-        self._num_rigs, self._fresh = int(num_rigs), True
+        """Forgets the last episode; `control_period` in s."""
+        self._num_rigs, self._fresh, self.memory = int(num_rigs), True, []
+        self._every = max(1, round((self.trained_period or control_period) / control_period))
         self.guard = InputGuard(self._num_rigs, control_period)
 
     @guarded
@@ -131,10 +133,22 @@ class Policy:
             raise ValueError(
                 f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
             )
-        inputs = self.interface.start(observation) if self._fresh else self.interface.see(observation)
-        outputs = self.outputs(inputs, self._fresh)
-        self._fresh = False
-        return self.interface.command(outputs)
+        if self._fresh:
+            self._held = self.interface.command(self.outputs(self.interface.start(observation), True))
+            self._fresh, self._ago = False, np.zeros((self._num_rigs, 1), int)
+            return self._held
+        seen, memory = self.interface.seen, list(self.memory)
+        command = self.interface.command(self.outputs(self.interface.see(observation), False))
+        if self._every == 1:
+            return command
+        # Masks, not branches, since this is exported as well.
+        later = self._ago + 1
+        due = later == self._every
+        self._ago = np.where(due, 0, later)
+        self.interface.seen = np.where(due, self.interface.seen, seen)
+        self.memory = [np.where(due, new, old) for new, old in zip(self.memory, memory, strict=True)]
+        self._held = np.where(due, command, self._held)
+        return self._held
 
     def outputs(self, inputs: Floats, fresh: bool) -> Floats:
         """What the network gives for its inputs, which are `fresh` where an episode begins."""
