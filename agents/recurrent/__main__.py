@@ -1,7 +1,8 @@
 """Trains a recurrent policy: `python -m agents.recurrent --config configs/gru.yml [--resume] --out DIR`.
 
 Two stages: it imitates the law (`imitation`), then it is improved by the gradient through the simulator
-(`simulator_gradient`). What is scored and exported is the running mean of the weights.
+(`simulator_gradient`). What is scored and exported is the running mean of the weights. With `--from POLICY` the second stage goes
+on from a trained policy, and with `--plant MODEL` it does so on a rig of one's own.
 
 DIR receives `policy.npz`, the policy with the best score on the split `val`; `curve.json`, the scores over control periods of
 single rigs and over time; `checkpoint.pt`, from which `--resume` goes on with new episodes; and `config.yml`, the file the run
@@ -20,6 +21,7 @@ import json
 import platform
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from statistics import geometric_mean
 from typing import Any
@@ -34,6 +36,7 @@ from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN
 from agents.recurrent.settings import MILLION, Settings, Training, read_settings
 from agents.recurrent.simulator_gradient import GradientStage
+from hydro_env.controllers import CONTROLLERS
 from hydro_env.errors import InputError
 from hydro_env.files import naming, write_bytes
 from hydro_env.training.evaluate import evaluate
@@ -51,16 +54,19 @@ MEAN = {"imitation": 0.98, "gradient": 0.99}
 class Run:
     """Policy, running mean, progress and files of a run."""
 
-    def __init__(self, settings: Settings, out: Path, command: str) -> None:
+    def __init__(self, settings: Settings, out: Path, command: str, start: Path | None = None) -> None:
         self.settings, self.out, self.command = settings, out, command
         torch.manual_seed(settings.training.seed)
         n = settings.network
         self.policy, self.mean = (
             RecurrentPolicy((n.inputs, n.recurrent, n.outputs), KNOWN + NOTES) for _ in range(2)
         )
+        if start is not None:
+            self.policy.take(start)
         self.mean.load_state_dict(self.policy.state_dict())
         self.progress: dict[str, Any] = {
-            "stage": "imitation", "done": 0, "seconds": 0.0, "cpu_seconds": 0.0, "best": float("inf"), "curve": []
+            "stage": "gradient" if start else "imitation",
+            "done": 0, "seconds": 0.0, "cpu_seconds": 0.0, "best": float("inf"), "curve": []
         }  # fmt: skip
         self.optimiser: dict[str, Any] | None = None
 
@@ -125,11 +131,17 @@ class Run:
         return int(before) + int(self.progress["done"])
 
 
-def train(settings: Settings, out: Path, *, resume: bool = False, command: str = "", bar: bool = True) -> Run:
-    """Trains or goes on training. InputError if the folder does not fit what is asked for."""
+def train(
+    settings: Settings, out: Path, *,
+    resume: bool = False, command: str = "", bar: bool = True, start: Path | None = None,
+) -> Run:  # fmt: skip
+    """Trains or goes on training; from a policy file `start` on without the first stage. InputError if the folder or the file do
+    not fit what is asked for."""
+    if start is not None:
+        settings = replace(settings, imitation=replace(settings.imitation, periods=0.0))
     torch.set_num_threads(1)
     with alone_in(out), naming(out):
-        run = Run(settings, out, command)
+        run = Run(settings, out, command, start)
         exists = (out / "checkpoint.pt").is_file()
         if exists and not resume:
             raise InputError(f"{out}: holds a run already; go on with --resume, or name another folder")
@@ -139,6 +151,8 @@ def train(settings: Settings, out: Path, *, resume: bool = False, command: str =
             run.restore()
         else:
             write_bytes(out / "config.yml", settings.text.encode())
+            if start is not None:
+                run.evaluate()  # what it begins with stays if nothing better is found
         total = int((settings.imitation.periods + settings.gradient.periods) * MILLION)
         with tqdm(total=total, initial=run.periods, unit="period", unit_scale=True, disable=not bar) as shown:
             for name in list(STAGES)[list(STAGES).index(run.progress["stage"]) :]:
@@ -208,13 +222,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--from", dest="start", help="policy whose training goes on: gru_any, or a file")
+    parser.add_argument("--plant", help="preset or model file instead of the training file's")
     given = parser.parse_args()
     command = " ".join(["python -m agents.recurrent", *sys.argv[1:]])
 
     def run() -> None:
+        settings = read_settings(given.config)
+        if given.plant:
+            settings = replace(settings, env={**settings.env, "plant": given.plant})
+        entry = CONTROLLERS.get(given.start)
+        start = entry.file if entry is not None else given.start and Path(given.start)
         train(
-            read_settings(given.config), given.out, resume=given.resume, command=command, bar=not given.quiet
-        )
+            settings, given.out,
+            resume=given.resume, command=command, bar=not given.quiet, start=start,
+        )  # fmt: skip
 
     run_command(run)
 

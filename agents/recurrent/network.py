@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import log
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from hydro_env.controllers.learned.policy import read_policy
 from hydro_env.controllers.learned.policy_interface import FramesInterface
 from hydro_env.envs.observation import FRAME, OBSERVATION
+from hydro_env.errors import InputError
 
 FRAMES = 2
 """Observations that the network sees at a time: the newest and the one before, so that it need not learn to subtract."""
@@ -29,6 +32,7 @@ class RecurrentPolicy(nn.Module):
     def __init__(self, sizes: tuple[int, int, int], notes: int) -> None:
         super().__init__()
         self.num_inputs = FRAMES * FRAME
+        self.sizes = sizes
         before, units, behind = sizes
         self.encode, self.remember = nn.Linear(self.num_inputs, before), nn.GRUCell(before, units)
         self.decode, self.act = nn.Linear(units, behind), nn.Linear(behind, 2)
@@ -64,13 +68,33 @@ class RecurrentPolicy(nn.Module):
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """The arrays of a policy file."""
+        return {name: value.detach().numpy().copy() for name, value in self._named().items()}
+
+    def _named(self) -> dict[str, Tensor]:
+        """What is exported, by the names in a policy file."""
         cell = self.remember
-        named = {
+        return {
             "w0": self.encode.weight, "b0": self.encode.bias,
-            "w1": cell.weight_ih, "v1": cell.weight_hh, "b1": cell.bias_ih, "c1": cell.bias_hh,
+            "w1": cell.weight_ih, "b1": cell.bias_ih, "v1": cell.weight_hh, "c1": cell.bias_hh,
             "w2": self.decode.weight, "b2": self.decode.bias, "w3": self.act.weight, "b3": self.act.bias,
         }  # fmt: skip
-        return {name: value.detach().numpy().copy() for name, value in named.items()}
+
+    def take(self, path: Path) -> None:
+        """Takes over the weights of a policy file. InputError for one that is not of such a network."""
+        network, metadata = read_policy(path)
+        own = self.arrays()
+        given = {
+            f"{letter}{n}": array
+            for n, layer in enumerate(network.layers)
+            for letter, array in zip("wbvc", layer, strict=False)
+        }
+        shapes = {name: array.shape for name, array in given.items()}
+        alike = all(metadata.get(key) == value for key, value in self.metadata().items())
+        if not alike or shapes != {name: array.shape for name, array in own.items()}:
+            raise InputError(f"{path}: its network is not the one of the training file, {self.sizes} units")
+        with torch.no_grad():
+            for name, weights in self._named().items():
+                weights.copy_(torch.from_numpy(given[name].astype(np.float32)))
 
     @staticmethod
     def metadata() -> dict[str, Any]:

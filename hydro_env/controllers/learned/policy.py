@@ -243,5 +243,4 @@ def _trained_period(metadata: dict[str, Any]) -> float:
     """The control period that a policy was trained with, s."""
     given = metadata.get("env_kwargs")
     period = given.get("control_period") if isinstance(given, dict) else None
-    usable = isinstance(period, int | float) and 0.0 < period < 1.0
-    return float(period) if usable else CONTROL_PERIOD
+    return float(period) if isinstance(period, int | float) and 0.0 < period < 1.0 else CONTROL_PERIOD

@@ -121,7 +121,8 @@ class Policy:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode; `control_period` in s."""
-        self._num_rigs, self._fresh, self.memory = int(num_rigs), True, []
+        self._num_rigs, self._fresh = int(num_rigs), True
+        self.memory: list[Floats] = []
         self._every = max(1, round((self.trained_period or control_period) / control_period))
         self.guard = InputGuard(self._num_rigs, control_period)
 
