@@ -5,8 +5,8 @@
 Each rig hides one effect (all of the catalogue in turn, small, medium and large), two, or none; base parameters are up to 15 %
 off the given model's but in every second rig without effects; noise, sizes and forms as in `blind_trials`. The first log is 6 s
 of closed-loop operation, the held-out one 6 s of another mixture. As long as the diagnosis is not sure (`case.dialogue`), the
-rig plays 12 s that it asks for, with the sensor that it asks for, or random manoeuvres of the same family and limits, with one of
-the sensors, or none, drawn evenly. All logs are diagnosed together, against the same held-out one.
+rig plays 12 s that it asks for, with the sensor that it asks for, or random or D-optimal manoeuvres of the same family and limits
+(`naming_methods.designs`). All logs are diagnosed together, against the same held-out one.
 
 Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden. Rigs
 that DIR holds already are not run again. Writes dialogue.json and dialogue.md.
@@ -28,14 +28,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from agents.command import run_command
-from hydro_env.case.dialogue import SURE, next_question, recorded
+from hydro_env.case.dialogue import recorded
 from hydro_env.case.hypotheses import certainty, places_of
-from hydro_env.case.sensors import COST, SENSORS, Shown, shown
-from hydro_env.case.unseen import with_experiment
-from hydro_env.diagnosis import Diagnosis, Settings, diagnose
-from hydro_env.diagnosis.experiment_design import commands_csv, random_design
-from hydro_env.diagnosis.stages.next_experiment import max_load
+from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.experiments.coverage import by_channel
+from hydro_env.experiments.naming_benchmark.dialogue import asked
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import CORES, SEEDS, Limits
 from hydro_env.practice.generate import PLAYED, make_practice
@@ -45,13 +42,14 @@ from .blind_trials.cases import BASE_ERROR, cases
 from .blind_trials.judging import covered, judge
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
+from .naming_methods.designs import at_random, d_optimal
 
 SCHEMA = "hydro_env/dialogue/1"
 #: The logs of a rig: what is known first, and what is held out.
 FIRST, HELD_OUT = "fit_2", "sealed"
 LOG_SECONDS, RATE, QUESTIONS = 6.0, 500.0, 3
 #: What a rig is asked.
-KINDS = ("asked", "random")
+KINDS = {"asked": asked, "random": at_random, "d_optimal": d_optimal}
 GROUPS = ("single", "pair", "empty")
 
 
@@ -103,31 +101,14 @@ def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[
     rounds: list[dict[str, Any]] = []
     while True:
         begin = time.perf_counter()
-        asked = _question(found, rng, kind == "asked") if len(rounds) < QUESTIONS else None
+        question = KINDS[kind](found, rng) if len(rounds) < QUESTIONS else None
         seconds += time.perf_counter() - begin
-        sensor = None if asked is None else asked[1]
-        rounds.append(_answer(found, rig.truth) | {"sensor": sensor, "seconds": round(seconds, 1)})
-        if asked is None:
+        commands, sensors = question or ("", [])
+        rounds.append(_answer(found, rig.truth) | {"sensors": sensors, "seconds": round(seconds, 1)})
+        if question is None:
             return rounds
-        record = [*recorded(found.logs), *filter(None, [sensor])]
-        answers.append(rig.played(f"{kind}_{len(rounds)}", asked[0], record))
+        answers.append(rig.played(f"{kind}_{len(rounds)}", commands, [*recorded(found.logs), *sensors]))
         found, seconds = rig.diagnosed(answers)
-
-
-def _question(found: Diagnosis, rng: np.random.Generator, asked: bool) -> tuple[str, str | None] | None:
-    """The commands to play next and the sensor to record; None where the dialogue ends."""
-    found = with_experiment(found) if asked and certainty(places_of(found)) < SURE else found
-    places, sensor = places_of(found), shown(found, dict.fromkeys(SENSORS, COST)) if asked else Shown({})
-    question, closed = next_question(found, places, sensor, "question.csv", may_ask=True)
-    experiment = found.next_experiment
-    if closed == "sure" or (asked and (question is None or experiment is None or experiment.csv() is None)):
-        return None
-    if asked and experiment is not None:
-        return str(experiment.csv()), sensor.sensor
-    logged = recorded(found.logs)
-    names = [None, *(n for n in SENSORS if n not in logged)]
-    commands = commands_csv(*random_design(found.rig.model, Settings(), rng, max_load(found)))
-    return commands, names[rng.integers(len(names))]
 
 
 def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,12 +164,20 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def paired(rows: Sequence[Mapping[str, Any]]) -> str:
-    """How many questions either kind needs until a rig is exact; one more than there are where it never is."""
-    needed = [[_needed(r[kind]) for kind in KINDS] for r in rows if not r["asked"][0]["exact"]]
-    fewer, more = sum(a < b for a, b in needed), sum(a > b for a, b in needed)
-    p = binomtest(fewer, fewer + more).pvalue if fewer + more else 1.0
-    mean = " and ".join(f"{np.mean([own[k] for own in needed]):.2f}" for k in (0, 1)) if needed else "-"
-    return f"Of {len(needed)} open rigs asked questions need fewer in {fewer}, random ones in {more} (p = {p:.2g}); mean {mean}."
+    """How many questions each kind needs until a rig is exact, beside those that are asked; one more than there are where it
+    never is."""
+    own, *others = KINDS
+    needed = [{kind: _needed(r[kind]) for kind in KINDS} for r in rows if not r[own][0]["exact"]]
+    text = []
+    for kind in others if needed else ():
+        fewer, more = (sum((n[own] - n[kind]) * sign > 0 for n in needed) for sign in (-1, 1))
+        p = binomtest(fewer, fewer + more).pvalue if fewer + more else 1.0
+        mean = " and ".join(f"{np.mean([n[k] for n in needed]):.2f}" for k in (own, kind))
+        text.append(
+            f"Of {len(needed)} open rigs {own} questions need fewer than {kind} ones in {fewer}, more in {more} (p = {p:.2g});"
+            f" mean {mean}."
+        )
+    return "\n\n".join(text)
 
 
 def _after(rounds: Sequence[Mapping[str, Any]], questions: int) -> Mapping[str, Any]:

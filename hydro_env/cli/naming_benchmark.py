@@ -1,4 +1,4 @@
-"""The command `naming-benchmark`: make, run, score."""
+"""The command `naming-benchmark`: make, run, play, score."""
 
 from __future__ import annotations
 
@@ -29,30 +29,49 @@ def make(
     out: Out,
     rigs: Annotated[int, number("Rigs of the set.", Limits(1, 10_000, whole=True))] = 40,
     seed: Seed = 0,
+    ask: Annotated[bool, Option("--ask", help="Rigs that may be asked, within a budget.")] = False,
 ) -> None:
     """Make a set of rigs with hidden effects.
 
-    Writes logs and models of the rigs, and their truth in a folder of its own; a stopped run continues.
+    Writes logs and models of the rigs, and their truth in a folder of its own, whose digest is in set.json; a stopped run
+    continues.
     """
     from hydro_env.experiments.naming_benchmark.sets import make_set
 
-    make_set(out, rigs, seed)
+    make_set(out, rigs, seed, ask)
     print(f"Written to {out}: rigs/ for the methods, truth/ for scoring alone")
 
 
 @naming_benchmark.command(cls=HelpfulCommand)
 def run(
-    method: Annotated[list[str], Argument(metavar="METHOD...", help="diagnose, calibrate, or all.")], set_folder: Set, out: Out
-) -> None:  # fmt: skip
+    method: Annotated[list[str], Argument(metavar="METHOD...", help="diagnose, calibrate, ask, or all.")],
+    set_folder: Set,
+    out: Out,
+) -> None:
     """Run methods that ship on a set.
 
-    Writes a folder of answers for each method; a stopped run continues.
+    Writes a folder of answers for each method; a stopped run continues. Where the set comes without its truth, `ask` writes
+    questions: run it again when they are answered.
     """
     from hydro_env.experiments.naming_benchmark.methods import METHODS, chosen, run_methods
 
     methods = chosen(method, METHODS)
     run_methods(methods, set_folder, out)
     print(f"Written to {out}: {', '.join(f'{name}/' for name in methods)}")
+
+
+@naming_benchmark.command(cls=HelpfulCommand)
+def play(
+    answers: Annotated[Path, Argument(metavar="ANSWERS", help="Folder of a method, with questions.")],
+    set_folder: Set,
+) -> None:
+    """Answer the questions of a method with logs.
+
+    Writes them beside the questions, as far as the budget of each rig goes.
+    """
+    from hydro_env.experiments.naming_benchmark import dialogue
+
+    print(f"{answers}: {dialogue.play(set_folder, answers)} questions answered")
 
 
 @naming_benchmark.command(cls=HelpfulCommand)

@@ -10,7 +10,7 @@ from docs.evidence.dialogue import GROUPS, paired, rigs, table
 def _row(group: str, asked: list[bool], random: list[bool]) -> dict[str, Any]:
     rounds = {
         kind: [{"exact": each, "alarm": False} for each in own]
-        for kind, own in (("asked", asked), ("random", random))
+        for kind, own in (("asked", asked), ("random", random), ("d_optimal", random))
     }
     return {"group": group, **rounds}
 
@@ -22,7 +22,7 @@ def test_questions_are_counted_until_a_rig_is_exact() -> None:
         _row("pair", [False, False, True], [False, True]),  # 2, 1
     ]
     assert paired(rows).startswith(
-        "Of 2 open rigs asked questions need fewer in 1, random ones in 1 (p = 1); mean 1.50 and 2.50"
+        "Of 2 open rigs asked questions need fewer than random ones in 1, more in 1 (p = 1); mean 1.50 and 2.50"
     )
     assert "| single: 2 | asked | 1 | 2 | 2 | 2 | 0 | 0.50 |" in table(rows)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from hydro_env.cli.main import run
-from hydro_env.experiments.naming_benchmark import scoring, sets
+from hydro_env.errors import InputError
+from hydro_env.experiments.naming_benchmark import dialogue, scoring, sets
 from hydro_env.experiments.naming_benchmark.answers import answer, read_answers
 from hydro_env.experiments.naming_benchmark.methods import chosen, run_methods
 from hydro_env.files import write_json
@@ -24,7 +26,8 @@ def small_set(folder: Path, kind: str = "one") -> Path:
     rig = folder / "rigs" / "rig_001"
     rig.mkdir(parents=True)
     (folder / "truth").mkdir()
-    write_json(folder / "set.json", {"schema": sets.SET_SCHEMA, "seed": 0, "rigs": ["rig_001"]})
+    write_json(folder / "set.json", {"schema": sets.SET_SCHEMA, "rigs": ["rig_001"]})
+    write_json(folder / "truth" / "set.json", {"seed": 0})
     (rig / "commands.csv").write_text("time_s,command_1_V\n0,0\n0.1,0\n0.2,0\n0.3,0\n")
     (folder / "truth" / "rig_001.csv").write_text("time_s,speed_1_rpm,speed_2_rpm\n0.2,10,20\n0.3,10,20\n")
     hidden = [{"name": "dead_zone", "channel": "1"}] if kind in ("one", "unlisted") else []
@@ -169,7 +172,7 @@ def test_an_unknown_method_is_refused_with_those_there_are(
     words = ["run", "diagnose", "certify", "--set", str(tmp_path), "--out", str(tmp_path / "out")]
     assert run(["naming-benchmark", *words]) == 2
     text = capsys.readouterr().err
-    assert text == "error: unknown method 'certify': known are diagnose, calibrate, or all\n"
+    assert text == "error: unknown method 'certify': known are diagnose, calibrate, ask, or all\n"
     assert not (tmp_path / "out").exists()
 
 
@@ -178,3 +181,94 @@ def test_all_means_every_method() -> None:
         raise AssertionError
 
     assert [*chosen(["all"], {"one": mine, "two": mine})] == ["one", "two"]
+
+
+@pytest.fixture(scope="module")
+def asked_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("set") / "set"
+    sets.make_set(folder, 1, 48000, ask=True)
+    return folder
+
+
+def question(answers: Path, number: int, *record: str, seconds: float = 3.0) -> Path:
+    """A question of a method: a step on both valves."""
+    own = answers / "rig_001"
+    own.mkdir(parents=True, exist_ok=True)
+    rows = [(0.0, 0.0), (0.5, 20.0), (seconds, 0.0)]
+    text = "".join(f"{t},{u},{-u}\n" for t, u in rows)
+    (own / f"question_{number}.csv").write_text("time_s,command_1_V,command_2_V\n" + text)
+    write_json(own / f"question_{number}.json", {"record": list(record)})
+    return own / f"answer_{number}.csv"
+
+
+def test_a_rig_answers_with_the_sensors_that_are_asked_for(asked_set: Path, tmp_path: Path) -> None:
+    first, second = question(tmp_path, 1), question(tmp_path, 2, "spool", "pressure")
+    assert dialogue.play(asked_set, tmp_path) == 2
+    names = [path.read_text().split("\n", 1)[0] for path in (first, second)]
+    assert ["spool_1_mm" in each for each in names] == [False, True]
+    before = first.read_bytes()
+    assert dialogue.play(asked_set, tmp_path) == 0 and first.read_bytes() == before
+    known = asked_set / "rigs" / "rig_001"
+    assert not (known / "fit_1.csv").exists() and json.loads((known / "rig.json").read_text())["budget"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (
+            [("spool", "flow"), ("spool", "motor_pressure")],
+            "question_2.csv: the rig's budget has not so many sensors",
+        ),
+        ([()] * 4, "question_4.csv: the rig's budget has not so many questions"),
+        ([("spol",)], "did you mean 'spool'"),
+    ],
+)
+def test_a_question_beyond_the_budget_is_refused(
+    asked_set: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    asked: list[tuple[str, ...]],
+    said: str,
+) -> None:
+    for number, record in enumerate(asked, 1):
+        question(tmp_path, number, *record)
+    assert run(["naming-benchmark", "play", str(tmp_path), "--set", str(asked_set)]) == 2
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1 and said in text
+
+
+def test_seconds_are_limited(asked_set: Path, tmp_path: Path) -> None:
+    question(tmp_path, 1, seconds=40.0)
+    with pytest.raises(InputError, match="not so many seconds left, of 36 in all"):
+        dialogue.play(asked_set, tmp_path)
+
+
+def test_a_question_waits_where_the_truth_is_elsewhere(asked_set: Path, tmp_path: Path) -> None:
+    """A sealed set: the method asks, who holds the truth plays, the method goes on."""
+    shutil.copytree(asked_set / "rigs", tmp_path / "sealed" / "rigs")
+    rig, own, seen = tmp_path / "sealed" / "rigs" / "rig_001", tmp_path / "mine" / "rig_001", []
+
+    def diagnosed(answers: list[Path]) -> Any:
+        seen.append(len(answers))
+        return len(answers)
+
+    def design(found: Any, rng: np.random.Generator) -> tuple[str, list[str]] | None:
+        return None if found else ("time_s,command_1_V\n0,0\n1,10\n3,0\n", ["spool"])
+
+    assert dialogue.converse(design, diagnosed, rig, own) is None
+    assert dialogue.converse(design, diagnosed, rig, own) is None
+    assert dialogue.play(asked_set, tmp_path / "mine") == 1
+    assert dialogue.converse(design, diagnosed, rig, own) == 1 and seen == [0, 1]
+    assert (
+        dialogue.converse(design, diagnosed, asked_set / "rigs" / "rig_001", tmp_path / "at_once" / "rig_001")
+        == 1
+    )
+
+
+def test_another_truth_than_the_published_one_is_refused(asked_set: Path, tmp_path: Path) -> None:
+    shutil.copytree(asked_set, tmp_path / "set")
+    path = tmp_path / "set" / "truth" / "rig_001.json"
+    path.write_text(path.read_text().replace("one", "two").replace("large", "small") + " ")
+    with pytest.raises(InputError, match="is not the truth whose digest"):
+        sets.read_truth(tmp_path / "set", "rig_001")
+    assert "seed" not in (asked_set / "set.json").read_text()

@@ -5,5 +5,6 @@ answers     one JSON file for each rig: what any method hands in
 methods     the diagnosis and the calibration alone, through that interface
 calibrated  the calibrated model of a rig, from which a method may begin
 certainty   intervals and probabilities of whole diagnoses against the truth
+dialogue    questions that a rig answers with logs, within a budget
 scoring     answers against the truth, with intervals
 """

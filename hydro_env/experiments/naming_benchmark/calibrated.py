@@ -46,9 +46,7 @@ def begin(folder: Path) -> Start:
     """Calibrates the model of a rig's folder. The last one is kept, with the processor time that it took."""
     start = time.process_time()
     about = read_json(folder / "rig.json", "a rig of the naming benchmark")
-    parts, held_out = read_logs(
-        [folder / "fit_1.csv", folder / "fit_2.csv"], [folder / "validation.csv"], None
-    )
+    parts, held_out = read_logs(sorted(folder.glob("fit_*.csv")), [folder / "validation.csv"], None)
     model = load_model(folder / "model.yaml")
     rig = DynamicRig(model, parts, without=frozenset(BUILT_IN) - frozenset(about["candidates"]))
     fine, others = rig.with_parts(parts, False), rig.with_parts(held_out, True)

@@ -2,6 +2,7 @@
 
 diagnose   the diagnosis of this package
 calibrate  known parameters adjusted, no effect named
+ask        the diagnosis, and the questions that it asks (`dialogue`)
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ...diagnosis import diagnose
+from ...diagnosis import Diagnosis, diagnose
 from ...errors import InputError
 from ...files import write_json
 from ...plant import BUILT_IN
@@ -23,19 +24,28 @@ from ...reading import read_json
 from .answers import answer, read_answer
 from .calibrated import name_beside
 from .certainty import WHOLE
+from .dialogue import Designer, asked, converse
 from .sets import read_set
 
-#: Takes the folder of a rig and a folder for its answer's files, and returns the answer.
-Method = Callable[[Path, Path], dict[str, Any]]
+#: Takes the folder of a rig and a folder for its answer's files, and returns the answer; None where it waits for a log.
+Method = Callable[[Path, Path], dict[str, Any] | None]
+
+
+def diagnosed(folder: Path, answers: Sequence[Path] = ()) -> Diagnosis:
+    """The diagnosis of a rig's logs and `answers`."""
+    rig = read_json(folder / "rig.json", "a rig of the naming benchmark")
+    logs = [*sorted(folder.glob("fit_*.csv")), *answers]
+    without = [n for n in BUILT_IN if n not in rig["candidates"]]
+    return diagnose(logs, [folder / "validation.csv"], folder / "model.yaml", without=without)
 
 
 def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
-    rig = read_json(folder / "rig.json", "a rig of the naming benchmark")
     start = time.process_time()
-    found = diagnose(
-        [folder / "fit_1.csv", folder / "fit_2.csv"], [folder / "validation.csv"], folder / "model.yaml",
-        without=[n for n in BUILT_IN if n not in rig["candidates"]],
-    )  # fmt: skip
+    return _answer(diagnosed(folder), folder, out, start)
+
+
+def _answer(found: Diagnosis, folder: Path, out: Path, start: float) -> dict[str, Any]:
+    """The answer of a diagnosis that was begun at the processor time `start`, and its files."""
     data = found.as_dict()
     effects = [{k: e[k] for k in ("name", "channel", "probability")} for e in data["effects"]]
     verdict = found.verdict
@@ -46,7 +56,18 @@ def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
     return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")
 
 
-METHODS: dict[str, Method] = {"diagnose": _diagnose, "calibrate": partial(name_beside, lambda start: [])}
+def asking(design: Designer, folder: Path, out: Path) -> dict[str, Any] | None:
+    """Diagnoses a rig, asks it what `design` proposes, and diagnoses again; None while a question waits for an answer."""
+    start = time.process_time()
+    found = converse(design, partial(diagnosed, folder), folder, out / folder.name)
+    return None if found is None else _answer(found, folder, out, start)
+
+
+METHODS: dict[str, Method] = {
+    "diagnose": _diagnose,
+    "calibrate": partial(name_beside, lambda start: []),
+    "ask": partial(asking, asked),
+}
 
 
 def chosen(words: Sequence[str], methods: Mapping[str, Method]) -> dict[str, Method]:
@@ -71,4 +92,6 @@ def run_methods(methods: Mapping[str, Method], folder: Path, out: Path) -> None:
         if path.exists():
             read_answer(path, rig)
         else:
-            write_json(path, methods[name](folder / "rigs" / rig, own))
+            found = methods[name](folder / "rigs" / rig, own)
+            if found is not None:
+                write_json(path, found)

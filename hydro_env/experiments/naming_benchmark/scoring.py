@@ -20,7 +20,8 @@ from ...units import RPM
 from ..coverage import by_channel, wilson
 from .answers import read_answers
 from .certainty import certainty, lines
-from .sets import TRUTH_SCHEMA, columns_of, read_commands, read_set
+from .dialogue import answers_of
+from .sets import columns_of, read_commands, read_set, read_truth
 
 SCHEMA = "hydro_env/naming_scores/1"
 #: A held-out error within this multiple of the noise counts as explained.
@@ -90,26 +91,20 @@ def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -
     InputError for whatever is missing or malformed.
     """
     whole = list(read_set(folder)["rigs"])
-    rigs = whole[:first]
+    rigs, seed = whole[:first], read_json(folder / "truth" / "set.json", "the seed of a set")["seed"]
     every = {method: read_answers(path, whole, first) for method, path in methods.items()}
-    truths = {name: _truth(folder / "truth" / f"{name}.json") for name in rigs}
+    truths = {name: read_truth(folder, name) for name in rigs}
     rows = []
     for method, found in every.items():
         for name, truth in truths.items():
             error = _held_out_error(folder, methods[method], found[name], truth["noise_rpm"])
-            rows.append({"method": method, **judge(found[name], truth, error)})
+            questions = len(answers_of(methods[method] / name))
+            rows.append({"method": method, **judge(found[name], truth, error), "questions": questions})
     return {
-        "schema": SCHEMA, "seed": read_set(folder)["seed"], "rigs": len(rigs), "summary": summary(rows),
+        "schema": SCHEMA, "seed": seed, "rigs": len(rigs), "summary": summary(rows),
         "certainty": {m: c for m, path in methods.items() if (c := certainty(path, truths)) is not None},
         "rows": rows,
     }  # fmt: skip
-
-
-def _truth(path: Path) -> dict[str, Any]:
-    truth = read_json(path, "the truth of a rig of the naming benchmark")
-    if not isinstance(truth, dict) or truth.get("schema") != TRUTH_SCHEMA:
-        raise InputError(f"{path}: schema: expected {TRUTH_SCHEMA!r}")
-    return truth
 
 
 # --- all rigs together --------------------------------------------------------------------------------------------------
@@ -131,7 +126,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             entry[what] = {"count": sum(asked), "of": len(asked), "ci95": wilson(sum(asked), len(asked))}
         errors = np.array([r["error"] for r in own if r["error"] is not None])
         entry["within"] = {"count": int((errors <= WITHIN).sum()), "of": len(errors)}
-        entry["error"] = _median(errors)
+        entry["error"], entry["questions"] = _median(errors), float(np.mean([r["questions"] for r in own]))
         entry["seconds"] = _median(np.array([r["seconds"] for r in own if r["seconds"] is not None]))
         found.append(entry)
     return found
@@ -150,13 +145,13 @@ def table(scores: Mapping[str, Any]) -> str:
     head = [
         "method", "names right", "most probable name right",
         "channel right", "false alarms", "`unknown` right", "rigs with a false name",
-        "held-out error, times the noise", f"within {WITHIN:g}", "time, s",
+        "held-out error, times the noise", f"within {WITHIN:g}", "time, s", "questions, mean",
     ]  # fmt: skip
     text = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for entry in scores["summary"]:
         within = f"{entry['within']['count']} of {entry['within']['of']}"
         cells = [f"`{entry['method']}`", *(_share(entry[what]) for what in _SHARES)]
-        cells += [_middle(entry["error"]), within, _middle(entry["seconds"])]
+        cells += [_middle(entry["error"]), within, _middle(entry["seconds"]), f"{entry['questions']:.2g}"]
         text.append("| " + " | ".join(cells) + " |")
     text += ["", *_ahead(scores["summary"])]
     for method, found in scores["certainty"].items():

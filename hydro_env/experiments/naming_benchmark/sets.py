@@ -1,6 +1,6 @@
 """Sets of rigs with hidden effects: `rigs/NAME` is what a method gets, `truth` what nobody may look at before scoring.
 
-    set.json                 seed, number and names of the rigs
+    set.json                 names of the rigs, and the digest of the truth
     rigs/NAME/fit_1.csv      valve bench, open loop
     rigs/NAME/fit_2.csv      operation, closed loop
     rigs/NAME/validation.csv other manoeuvres, all signals
@@ -9,6 +9,9 @@
     rigs/NAME/rig.json       candidates, and from when on `commands.csv` is scored
     truth/NAME.json          what is hidden and how large it is
     truth/NAME.csv           measured speeds of the scored part
+    truth/set.json           the seed
+
+Of rigs that may be asked (`dialogue`) there is no valve bench, and rig.json has the budget of questions.
 
 Rigs are practice rigs (`hydro_env.practice`). What is hidden, on which channel, its severity, the errors of the base
 parameters, the noise and the recorded signals are drawn for each rig from the seed of the set. Every rig leaves some
@@ -18,6 +21,7 @@ effects out of its candidates, so that a list of candidates says nothing about w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +52,8 @@ BASE_ERROR, NOISE_FACTOR = (0.02, 0.15), (0.5, 3.0)
 RECORDS = ((("setpoint", "current", "pressure", "load"), 0.7), (("setpoint", "pressure", "load"), 0.3))
 #: Effects that each rig leaves out of its candidates, beside those that logs cannot part from them.
 LEFT_OUT = 3
+#: What a rig answers at most: questions, seconds of commands, and sensors, one for each question that records it.
+BUDGET = {"questions": 3, "seconds": 3 * DURATION, "sensors": 3}
 
 
 def _kinds(rigs: int, rng: np.random.Generator) -> list[str]:
@@ -93,32 +99,43 @@ def draw_rig(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def make_set(out: Path, rigs: int, seed: int) -> None:
-    """Makes a set of rigs in the folder `out`; rigs that it holds already are kept, so a stopped run goes on.
+def make_set(out: Path, rigs: int, seed: int, ask: bool = False) -> None:
+    """Makes a set of rigs in the folder `out`, which may be asked if `ask`; rigs that it holds already are kept, so a stopped run
+    goes on.
 
-    InputError if the folder holds a set of another size or seed.
+    InputError if the folder holds a set of another size, seed or kind.
     """
     names = [f"rig_{n + 1:03d}" for n in range(rigs)]
-    about = {"schema": SET_SCHEMA, "seed": seed, "rigs": names}
-    if (out / "set.json").exists() and read_set(out) != about:
-        raise InputError(
-            f"{out / 'set.json'}: another set than --rigs {rigs} --seed {seed}; name another --out"
-        )
+    about = {"schema": SET_SCHEMA, "rigs": names, "ask": ask}
+    drawn = {"seed": seed, **about}
+    if (out / "truth" / "set.json").exists() and read_json(
+        out / "truth" / "set.json", "a set's seed"
+    ) != drawn:
+        raise InputError(f"{out}: holds another set than --rigs {rigs} --seed {seed}; name another --out")
     (out / "truth").mkdir(parents=True, exist_ok=True)
-    write_json(out / "set.json", about)
+    write_json(out / "truth" / "set.json", drawn)
     shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
     kinds = _kinds(rigs, np.random.default_rng(shared))
     bar = tqdm(zip(names, kinds, own, strict=True), total=rigs, unit="rig", disable=None)
     for name, kind, stream in bar:
         bar.set_description(name)
         if not (out / "truth" / f"{name}.json").exists():
-            _make_rig(out, name, kind, draw_rig(kind, np.random.default_rng(stream)))
+            _make_rig(out, name, kind, draw_rig(kind, np.random.default_rng(stream)), ask)
+    write_json(out / "set.json", {**about, "truth_sha256": _digest(out / "truth")})
 
 
-def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None:
+def _digest(truth: Path) -> str:
+    """SHA-256 of the files of the truth, in the order of their names."""
+    return sha256(
+        b"".join(path.name.encode() + path.read_bytes() for path in sorted(truth.iterdir()))
+    ).hexdigest()
+
+
+def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any], ask: bool) -> None:
     """Writes a rig and its truth, the truth last."""
     settings = {key: drawn[key] for key in ("severity", "base_error", "noise", "record", "seed")}
-    short = make_practice(drawn["effects"], runs=("fit_1", "fit_2"), duration=DURATION, **settings)
+    runs = ("fit_2",) if ask else ("fit_1", "fit_2")
+    short = make_practice(drawn["effects"], runs=runs, duration=DURATION, **settings)
     values = {f"{h.name}.{n}": v for h in short.hidden for n, v in h.parameters.items()}
     long = make_practice(
         drawn["effects"], runs=("sealed",), duration=LONG_DURATION, **{**settings, "values": values}
@@ -135,9 +152,10 @@ def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None
     short.given.to_yaml(folder / "model.yaml")
     candidates = [n for n in _effects() if n not in drawn["left_out"]]
     about = {"schema": RIG_SCHEMA, "rig": name, "candidates": candidates, "scored_from_s": DURATION}
-    write_json(folder / "rig.json", about)
+    write_json(folder / "rig.json", about | ({"budget": BUDGET} if ask else {}))
     write_text(out / "truth" / f"{name}.csv", log_text(scored))
-    write_json(out / "truth" / f"{name}.json", _truth(name, kind, drawn, short))
+    truth = _truth(name, kind, drawn, short)
+    write_json(out / "truth" / f"{name}.json", truth | {"hidden": drawn["effects"], "values": values})
 
 
 def _truth(name: str, kind: str, drawn: Mapping[str, Any], practice: Practice) -> dict[str, Any]:
@@ -160,6 +178,17 @@ def read_set(folder: Path) -> dict[str, Any]:
             f"{folder / 'set.json'}: expected a set of `hydro-env naming-benchmark make`, schema {SET_SCHEMA!r}"
         )
     return about
+
+
+def read_truth(folder: Path, rig: str) -> dict[str, Any]:
+    """The truth of a rig of the set in `folder`. InputError for another one than that whose digest is published."""
+    path, published = folder / "truth" / f"{rig}.json", read_set(folder).get("truth_sha256")
+    if published is not None and path.exists() and _digest(path.parent) != published:
+        raise InputError(f"{path.parent}: is not the truth whose digest {folder / 'set.json'} has")
+    truth = read_json(path, "the truth of a rig of the naming benchmark")
+    if not isinstance(truth, dict) or truth.get("schema") != TRUTH_SCHEMA:
+        raise InputError(f"{path}: schema: expected {TRUTH_SCHEMA!r}")
+    return truth
 
 
 def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:

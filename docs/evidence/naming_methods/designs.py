@@ -1,0 +1,75 @@
+"""What else a rig could be asked than what a case asks: random experiments, and those that show most about parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydro_env.case.dialogue import next_question, recorded
+from hydro_env.case.hypotheses import places_of
+from hydro_env.case.sensors import SENSORS, Shown
+from hydro_env.diagnosis import Diagnosis, Settings
+from hydro_env.diagnosis.experiment_design import (
+    Array,
+    Operation,
+    Trial,
+    best_design,
+    commands_csv,
+    random_design,
+)
+from hydro_env.diagnosis.stages.next_experiment import max_load
+
+
+def sure(found: Diagnosis) -> bool:
+    """Whether a case would ask nothing more."""
+    return next_question(found, places_of(found), Shown({}), "question.csv", may_ask=True)[1] == "sure"
+
+
+def lacking(found: Diagnosis) -> list[str]:
+    """The sensors that the logs do not have."""
+    return [name for name in SENSORS if name not in recorded(found.logs)]
+
+
+def at_random(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
+    """Random manoeuvres of the same family and limits, with one of the sensors, or none, drawn evenly."""
+    if sure(found):
+        return None
+    commands = commands_csv(*random_design(found.rig.model, Settings(), rng, max_load(found)))
+    names = [[], *([name] for name in lacking(found))]
+    return commands, names[rng.integers(len(names))]
+
+
+class Information(Trial):
+    """Experiments by what they show about the parameters of the `operations`: the logarithm of the factor by which the volume of
+    what is open shrinks (Bayesian D-optimality; Chaloner and Verdinelli, Bayesian experimental design, 1995)."""
+
+    def scores(self, experiments: Array) -> Array:
+        tables, allowed = self._simulate(experiments)
+        found = np.zeros((len(experiments), 2))
+        for (c, operation), table in zip(self.operations.items(), tables, strict=True):
+            seen = table[c] / self._scales([operation.estimate], c)
+            for n in range(len(experiments)):
+                whole, _, *draws = seen[:, n]
+                off = (np.array(draws) - whole).reshape(len(draws), -1) / np.sqrt(len(draws))
+                found[n, c] = np.linalg.slogdet(np.eye(len(off)) + off @ off.T)[1]
+        return np.where(allowed, found, -np.inf)
+
+
+def d_optimal(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
+    """What shows most about all parameters of the diagnosed model, whatever is open, with the sensor that adds most to that."""
+    held_out = found.logs.fit.on(found.logs.held_out)
+    every = {c: Operation.of(held_out, found.models.final[c], c) for c in found.rig.channels}
+    trial = Information(found.logs.fit, (), {c: each for c, each in every.items() if each is not None})
+    if sure(found) or not trial.operations:
+        return None
+    design = best_design(trial, rng, max_load(found))
+    if design is None:
+        return None
+    experiment = np.stack(
+        [design.command_V / np.array(found.rig.model.pair("u_rated")), design.load], axis=-1
+    )
+    more = {
+        name: replace(trial, more=SENSORS[name]).scores(experiment[None]).sum() for name in lacking(found)
+    }
+    return commands_csv(design.command_V, design.load), [max(more, key=more.__getitem__)] if more else []
