@@ -19,10 +19,10 @@ MAX_LINES = {
     "hydro_env": 32_000,
     "hydro_env/diagnosis": 4_700,
     "hydro_env/export": 2_000,
-    "hydro_env/experiments": 1_800,
+    "hydro_env/experiments": 1_900,
 }
 #: Words, without generated parts, of everything that matches.
-MAX_WORDS = {"docs/**/*.md": 27_900, "CHANGELOG.md": 2_500, "README.md": 700}
+MAX_WORDS = {"docs/**/*.md": 28_000, "CHANGELOG.md": 2_500, "README.md": 700}
 
 _LAYOUT = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,
