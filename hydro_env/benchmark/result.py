@@ -19,20 +19,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from hydro_env.benchmark.cells import (
-    BASELINE,
-    BOUND,
-    Cell,
-    Conditions,
-    by_name,
-    cells_of,
-    drive,
-    overall,
-    score_ends,
-    with_summaries,
-)
+from hydro_env.benchmark.cells import Cell, Conditions, by_name, cells_of, drive, overall, score_ends
 from hydro_env.benchmark.statistics import Summary
-from hydro_env.benchmark.suite import Suite, shipped_suites
+from hydro_env.benchmark.suite import BASELINE, BOUND, Suite, shipped_suites
 from hydro_env.controllers.registry import CONTROLLERS, source_of, split_gains
 from hydro_env.errors import InputError
 from hydro_env.files import to_json, write_json
@@ -273,7 +262,7 @@ def _cells(found: Mapping[str, Any], spec: Any, trust: bool) -> list[Cell]:
         )
         for each in found["cases"]
     ]  # fmt: skip
-    return [with_summaries(cell) for cell in cases]
+    return [cell.with_summaries() for cell in cases]
 
 
 def _check_summary(path: str | Path, found: Mapping[str, Any], cells: Sequence[Cell]) -> None:
