@@ -62,8 +62,7 @@ class Privileged:
     def draw(self) -> None:
         """Takes over what is drawn for the present episodes."""
         parts = [_share(self._rollout.deviation[:, self._random_noise], *self._noise)]
-        for name, span in self._spans.items():
-            parts.append(_share(self._drawn.value(name, self._rollout.plant), *span))
+        parts += [_share(self._drawn.value(n, self._rollout.plant), *span) for n, span in self._spans.items()]
         self._values = np.clip(np.concatenate(parts, axis=1), -BEYOND, BEYOND)
 
     def now(self) -> NDArray[np.float32]:

@@ -20,7 +20,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -48,6 +47,9 @@ SENSOR_PARAMETERS = {
         note="noise over the usual noise"),
 }  # fmt: skip
 
+_RIG_EFFECTS = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
+#: Parameters that both channels share.
+_OF_RIG = {f"{effect.name}.{p.name}" for effect in _RIG_EFFECTS for p in effect.parameters}
 #: The name of no mismatch at all: the plant's own pair of valves.
 OWN = "own"
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
@@ -145,7 +147,7 @@ class Range(FileTable):
     def check(self, name: str, before: Mapping[str, Range]) -> None:
         """InputError for a range that this parameter, behind those above it, cannot have."""
         _check_bounds(name, self.ends)
-        if self.fixed and name in _rig_parameters() and self.fixed[0] != self.fixed[1]:
+        if self.fixed and name in _OF_RIG and self.fixed[0] != self.fixed[1]:
             raise InputError("both channels share this value; one number expected")
         if self.at_most is not None and self.at_most not in before:
             raise InputError(f"at_most: {shown(self.at_most)} is not among the parameters above it")
@@ -170,7 +172,7 @@ NAMED_PAIRS: dict[str, Mismatch] = {}
 
 def _shared(ranges: dict[str, Range]) -> dict[str, Range]:
     """The ranges; what both channels share has one value."""
-    shared = {*_rig_parameters(), *QUANTITIES, PACE}
+    shared = {*_OF_RIG, *QUANTITIES, PACE}
     return {
         name: each.model_copy(update={"common": each.common or name in shared})
         for name, each in ranges.items()
@@ -439,12 +441,6 @@ def _unusual(name: str, given: Range) -> str:
         return ""
     found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"
     return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p.unit)})"
-
-
-@cache
-def _rig_parameters() -> frozenset[str]:
-    shared = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
-    return frozenset(f"{effect.name}.{p.name}" for effect in shared for p in effect.parameters)
 
 
 def _read_package() -> dict[str, Any]:
