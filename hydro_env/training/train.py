@@ -135,13 +135,11 @@ class Run(BaseCallback):
         score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
         first, times = training.evaluate_scenarios[0], self.times()
         scores = each[first]
-        self.progress["curve"].append(
-            {"steps": self.steps, **times, "score": score, **scores, "scenarios": each}
-        )
+        told = {"score": score, **scores, "scenarios": each}
+        self.progress["curve"].append({"steps": self.steps, **times, **told})
         if score < self.progress["best"]:
             self.progress["best"] = score
-            val = {"pairs": training.evaluate_pairs, "score": score, "scenario": first}
-            val = {**val, **scores, "scenarios": each}
+            val = {"pairs": training.evaluate_pairs, "score": score, "scenario": first, **told}
             self._export(self.out / "policy.npz", {**about, **times, "val": val})
         candidate.unlink()
         self.progress["evaluated"] = self.steps
