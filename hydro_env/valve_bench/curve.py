@@ -164,12 +164,10 @@ def branches_of(curve: Curve) -> list[Branch]:
         if direction == 0:
             lowest = n if value < values[lowest] else lowest
             highest = n if value > values[highest] else highest
-            if value - values[lowest] > TURN * span:
-                direction, extreme = 1, n
-                turns = [0] if lowest == 0 else [0, lowest]
-            elif values[highest] - value > TURN * span:
-                direction, extreme = -1, n
-                turns = [0] if highest == 0 else [0, highest]
+            for way, end in ((1, lowest), (-1, highest)):
+                if way * (value - values[end]) > TURN * span:
+                    direction, extreme, turns = way, n, sorted({0, end})
+                    break
         elif direction * (value - values[extreme]) >= 0.0:
             extreme = n
         elif direction * (values[extreme] - value) > TURN * span:
