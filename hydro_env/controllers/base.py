@@ -155,9 +155,7 @@ class Controller:
 
     def converted(self, gains: Mapping[str, Floats]) -> dict[str, Floats]:
         """Gains in the units in which the law works."""
-        size = {
-            gain.name: 1.0 if gain.name in self.carried else gain.size(self.scales) for gain in self.GAINS
-        }
+        size = {gain.name: gain.size(self.scales) for gain in self.GAINS} | dict.fromkeys(self.carried, 1.0)
         return {name: value / size[name] for name, value in gains.items()}
 
     def prepare(self, plant: Plant) -> None:

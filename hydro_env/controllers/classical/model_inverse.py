@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.reference import DoublePole
@@ -81,7 +80,8 @@ class ModelInverse(Controller):
         self._shaper = InputShaper(rate, self.period, measured.command.astype(float))
 
     def command(self, measured: Measurements) -> Floats:
-        kp, ti, ks, blend = (_column(self.gains[key]) for key in ("Kp", "Ti", "Ks", "blend"))
+        # Columns, in which a gain may have one row per rig.
+        kp, ti, ks, blend = (np.reshape(self.gains[key], (-1, 1)) for key in ("Kp", "Ti", "Ks", "blend"))
         self._move_reference(measured.setpoint)
         error = self._past[0][:, None] - measured.speed
         apart = np.mean(measured.speed, axis=1, keepdims=True) - measured.speed
@@ -119,13 +119,7 @@ class ModelInverse(Controller):
         return command + (share - 1.0) * (edge - middle)
 
 
-def _column(gain: NDArray[np.float64]) -> Floats:
-    """A gain as a number or a column with one row per rig."""
-    return np.reshape(gain, (-1, 1))
-
-
-def _rising(flow: ArrayLike, command: Floats) -> tuple[Floats, Floats]:
+def _rising(flow: Floats, command: Floats) -> tuple[Floats, Floats]:
     """The rows of a curve at which the flow rises, so that it can be read the other way round."""
-    values = np.asarray(flow, dtype=float)
-    rises = np.concatenate([[True], np.diff(values) > 1e-9 * np.ptp(values)])
-    return values[rises], command[rises]
+    rises = np.concatenate([[True], np.diff(flow) > 1e-9 * np.ptp(flow)])
+    return flow[rises], command[rises]

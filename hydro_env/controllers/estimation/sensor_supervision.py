@@ -78,19 +78,15 @@ class SensorSupervision:
         self._period, self._leak = period, motor.leakage * LEAKAGE
         self._leak_noise, self._pressure_noise = motor.noise * LEAK_NOISE, motor.noise * PRESSURE_NOISE
         self._drag = motor.friction * FRICTION
-        stuck, lagging = np.zeros((2, *pair), bool)
-        noise, pressure_noise, square, pressure_square = np.ones((4, *pair))
-        speed, size = np.array(seen.speed, float), np.full(pair, (15.0 * RPM) ** 2)
-        lag, along = np.zeros((2, *pair))
-        self.state = SensorState(
-            speed, noise, pressure_noise, square, pressure_square, stuck, lagging, lag, along, size
-        )
+        noises, flags, sums = np.ones((4, *pair)), np.zeros((2, *pair), bool), np.zeros((3, *pair))
+        sums[2] = (15.0 * RPM) ** 2  # the first `size`
+        self.state = SensorState(np.array(seen.speed, float), *noises, *flags, *sums)
         self._read, self._pressure = np.stack([seen.speed] * 3), np.stack([seen.pressure] * 3)
         # squares of the first three readings at rest: of both speeds, then both pressures
         self._firsts = np.full((num_rigs, 3, 4), np.inf)
         self._age, self._steady = np.ones(num_rigs, int), np.zeros(num_rigs, int)
         self._first_readings(slice(None), seen.speed, seen.pressure)
-        noise, pressure_noise = np.sqrt(square), np.sqrt(pressure_square)
+        noise, pressure_noise = np.sqrt(self.state.speed_square), np.sqrt(self.state.pressure_square)
         self.state.noise[:] = np.where(noise > settings.noisy, noise, 1.0)
         self.state.pressure_noise[:] = np.where(pressure_noise > settings.noisy_pressure, pressure_noise, 1.0)
 

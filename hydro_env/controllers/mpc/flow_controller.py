@@ -91,9 +91,8 @@ class FlowController:
         """Commands (num_rigs, 2) in [-1, 1]."""
         e, probing = self.estimator, self.probing.active
         valves = e.valves.state
-        flow = self.feedback.state.flow / self.settings.motor.strength(
-            self.feedback.state.flow, e.motors.state.pressure
-        )
+        asked_for, pressure = self.feedback.state.flow, e.motors.state.pressure
+        flow = asked_for / self.settings.motor.strength(asked_for, pressure)
         asked = np.empty_like(flow)
         compensate(flow, valves, asked)
         self.crossing.steer(asked, e.flow, FLOWING * e.flow_noise, valves)
