@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.estimation.nominal import SPOOL_RATE
+from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Floats
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
@@ -26,7 +26,6 @@ __all__ = [
     "Rows",
 ]  # fmt: skip
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 """Rigs, as an index of arrays."""

@@ -32,11 +32,9 @@ from .profiles import encode
 from .randomisation import Episodes, Randomisation
 from .render import Recorder
 from .reward import Reward, load_reward
-from .rollout import Result, Rollout
+from .rollout import Floats, Result, Rollout, Rows
 from .step_kernels import COLUMNS, STATE
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 #: Keys of the `options` of `reset`.

@@ -12,11 +12,9 @@ from ..plant import Plant, PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
 from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
-from .observation import LIMIT, scales_on
+from .observation import LIMIT, Floats, scales_on
 from .randomisation import Randomisation
 from .rollout import Rollout
-
-Floats = NDArray[np.float64]
 
 #: Drawn values are clipped here: a sensor that is never stuck is so from an infinite time on.
 BEYOND = 2.0

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, shown
 from ..limits import Limits
 from ..plant import PlantModel
-from ..streams import Component, Streams
+from ..streams import Component, Floats, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, own_values
 from .step_kernels import NEVER
 
-Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 SEED = Limits(0, 2**128 - 1, whole=True)

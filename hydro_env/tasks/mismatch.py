@@ -32,12 +32,10 @@ from ..errors import InputError, InputWarning, check_known, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
-from ..streams import Component, Streams
+from ..streams import Component, Floats, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked, known
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
-
-Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
 SENSOR_PARAMETERS = {

@@ -23,7 +23,7 @@ import numpy as np
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
-from hydro_env.controllers.estimation.nominal import FLOWING, Motor
+from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD, Motor
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.controllers.mpc.compensation import compensate
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
@@ -67,7 +67,7 @@ class FlowController:
         remembered = self.feedback.remembered
         self.reference = Reference(s.reference, channel, seen.setpoint, seen.speed, remembered)
         self.shaper = InputShaper(s.estimator.spool.rate, period, seen.command)
-        planned = s.planner if Planner.fits(period) else None
+        planned = s.planner if abs(period - TUNED_PERIOD) < 1e-6 else None
         self.planner = Planner(planned, seen.command, channel) if planned else None
         # periods by which speeds follow the reference
         self._response = s.planner.behind if s.planner else s.feedback.delay / period
