@@ -72,10 +72,9 @@ class ModelInverse(Controller):
         self._edges = np.stack([self._commands[opens], self._commands[::-1][closes]])
 
     def start(self, measured: Measurements) -> None:
-        n = len(measured.speed)
         self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
         self._past = [self._reference.speed] * (LAG + 1)
-        self._sum = np.zeros((n, 2))
+        self._sum = np.zeros_like(measured.speed)
         rate = float(np.mean(np.sqrt(self._motor["k"] / self._motor["m"])))
         self._shaper = InputShaper(rate, self.period, measured.command.astype(float))
 
