@@ -353,9 +353,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def reasons(self, terminated: Mask) -> NDArray[np.object_]:
         """Why these rows were terminated, None for the others."""
         lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
-        return np.array(
-            [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)], object
-        )
+        told = [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)]
+        return np.array(told, object)
 
     # --- episodes -------------------------------------------------------------------------------------------------
     def _begin(

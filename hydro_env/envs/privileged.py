@@ -33,8 +33,7 @@ def privileged_names(env: Any) -> tuple[str, ...]:
     batch = getattr(getattr(env, "unwrapped", env), "batch", getattr(env, "unwrapped", env))
     if batch.privileged is None:
         raise ValueError("the environment was made without privileged=True")
-    names: tuple[str, ...] = batch.privileged.names
-    return names
+    return tuple(batch.privileged.names)
 
 
 class Privileged:

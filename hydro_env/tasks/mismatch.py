@@ -370,14 +370,12 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return source
     if isinstance(source, Mapping):
         return _read_own("mismatch", source, "mismatch")
-    named = {**SPLITS, **NAMED_PAIRS}
+    shipped = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
         raise InputError(
-            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(named)}), a YAML file, a mapping or None"
+            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(shipped)}), a YAML file, a mapping or None"
         )
-    text = str(source)
-    if text == OWN:
-        return None
+    text, named = str(source), {**shipped, OWN: None}
     if text in named:
         return named[text]
     path = Path(source)
@@ -386,9 +384,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         if not isinstance(data, dict):
             raise InputError(f"{path}: expected `parameter: value` lines")
         return _read_own(path.stem, data, str(path))
-    raise InputError(
-        f"unknown mismatch {shown(text)}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
-    )
+    raise InputError(f"unknown mismatch {shown(text)}: {suggestion(text, named)}, or the path of a YAML file")
 
 
 def default_mismatch(plant: Any, split: str = "train") -> str:
@@ -422,12 +418,9 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
     mismatch = checked(Mismatch, {"name": name, **own}, where)
     parts = {key: mismatch.ranges[key] for key in given if key not in SENSOR_PARAMETERS}
     if unusual := [text for key, each in parts.items() if (text := _unusual(key, each))]:
-        warnings.warn(
-            f"{where}: unusual for such a rig: {', '.join(unusual)}; a range for another plant says by `meant_for` for which "
-            "value",
-            InputWarning,
-            stacklevel=3,
-        )
+        told = f"{where}: unusual for such a rig: {', '.join(unusual)}"
+        other = "a range for another plant says by `meant_for` for which value"
+        warnings.warn(f"{told}; {other}", InputWarning, stacklevel=3)
     return mismatch
 
 

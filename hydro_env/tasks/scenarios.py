@@ -85,10 +85,9 @@ class Scenario:
             seed = int(stream.integers(2**63))
             setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
-        setpoint, load = self.course(_grid(self.steps(period), period), stream)
-        return Reference(
-            np.asarray(setpoint, dtype=float) * RPM * self.speed, np.asarray(load, dtype=float) * self.torque
-        )
+        course = self.course(_grid(self.steps(period), period), stream)
+        setpoint, load = (np.asarray(each, dtype=float) for each in course)
+        return Reference(setpoint * RPM * self.speed, load * self.torque)
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
