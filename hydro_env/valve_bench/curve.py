@@ -155,10 +155,9 @@ def branches_of(curve: Curve) -> list[Branch]:
         )
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
-    rows = np.arange(0, len(signal), stride)
     turns = [0]
     direction, extreme = 0, 0
-    values = signal[rows].tolist()
+    values = signal[::stride].tolist()
     lowest = highest = 0
     for n, value in enumerate(values):
         if direction == 0:
@@ -173,7 +172,7 @@ def branches_of(curve: Curve) -> list[Branch]:
         elif direction * (values[extreme] - value) > TURN * span:
             turns.append(extreme)
             direction, extreme = -direction, n
-    ends = [*(int(rows[n]) for n in turns), len(signal)]
+    ends = [*(stride * n for n in turns), len(signal)]
     found = []
     for start, stop in itertools.pairwise(ends):
         step = signal[stop - 1] - signal[start]
