@@ -31,13 +31,14 @@ class InputGuard:
     def __init__(self, num_rigs: int, period: float) -> None:
         self.fault: NDArray[np.bool_] = np.zeros(num_rigs, bool)
         self._most = held_samples(period)
-        self._good: NDArray[Any] = np.zeros((num_rigs, 0))
+        self._good: NDArray[Any] | None = None
+        self._missed: NDArray[np.int64] | None = None
 
     def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
         """The observation with the last good value of what is absent. One of another shape is left as it is."""
         if observation.ndim != 2 or len(observation) != len(self.fault):
             return observation
-        if self._good.shape != observation.shape:
+        if self._good is None or self._missed is None or self._good.shape != observation.shape:
             self._good = np.zeros_like(observation)
             self._missed = np.full(observation.shape, self._most + 1)
         there = np.abs(observation, dtype=float) <= MAX_VALUE
