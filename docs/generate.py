@@ -33,10 +33,11 @@ import yaml
 
 import hydro_env.benchmark
 import hydro_env.tasks
-from hydro_env.benchmark.cells import BASELINE, RETURN, SCORE
+from hydro_env.benchmark.cells import SCORE
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.benchmark.result import CLASSES, read_result
 from hydro_env.benchmark.statistics import iqm, probability_of_improvement
+from hydro_env.benchmark.suite import BASELINE, RETURN
 from hydro_env.cli import app
 from hydro_env.cli.help import examples as examples_by_command
 from hydro_env.controllers import CONTROLLERS, make_controller

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, scaled, summarise
-from hydro_env.benchmark.suite import Suite
+from hydro_env.benchmark.suite import BASELINE, BOUND, PEAK, RETURN, TRACKING, Suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import make_controller, source_of
 from hydro_env.controllers.rollout import roll_out
@@ -30,11 +30,6 @@ from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, Metric, Trace, never_settled
 from hydro_env.tasks.metrics import IDLE
 
-BASELINE = "pid_tuned"
-"""Who sets 0 of the score, and against whom the probability of improvement is given (the first controller where it does not take
-part)."""
-BOUND = "oracle"
-"""Who sets 100 of the score."""
 SCORE = Metric(
     "normalised_score", "normalised score", "",
     f"the return on a scale that is 0 at the interquartile mean of {BASELINE} and 100 at that of {BOUND}, in each split and "
@@ -43,7 +38,6 @@ SCORE = Metric(
 )  # fmt: skip
 SCORED = METRICS | {SCORE.name: SCORE}
 """The metrics of scores.json by name."""
-RETURN, TRACKING = "return", "tracking_mae_rpm"
 DTYPE = "float32"
 """Of the plant that every controller meets: half the time of float64, and scores move as they do with other steps
 (docs/reference/benchmark.md, Precision)."""
@@ -54,8 +48,6 @@ LIMIT = 600.0
 MAX_LETTERS = 200
 """Of a controller's name."""
 
-TRACE_METRIC = "max_speed_difference_rpm"
-"""By which a cell's typical (median) and worst case are chosen, whose traces the page shows."""
 TRACE_SAMPLES = 120
 """How many samples of a trace the page keeps, about: those with the largest difference."""
 
@@ -92,6 +84,14 @@ class Cell:
     def about(self) -> dict[str, str]:
         """Whose it is and where, as tables have it."""
         return {"controller": self.name, "split": self.split, "scenario": self.scenario}
+
+    def with_summaries(self) -> Cell:
+        """The cell with what the values of each metric come to; resamples keep the share of each fault."""
+        summaries = {
+            name: summarise(values, strata=self.faults, more=METRICS[name].more)
+            for name, values in self.metrics.items()
+        }
+        return replace(self, summaries=summaries)
 
 
 @dataclass(frozen=True)
@@ -234,25 +234,16 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
     still = iqm(np.abs(done.trace.setpoint_rpm).mean(axis=0))
-    done_cell = replace(
+    scored = replace(
         cell, metrics=metrics, faults=done.faults, note=note, unsettled=int(np.sum(never_settled(done.trace))),
-        traces=_kept(done.trace, metrics[TRACE_METRIC]), idle=iqm(metrics[TRACKING]) > IDLE * still,
+        traces=_kept(done.trace, metrics[PEAK]), idle=iqm(metrics[TRACKING]) > IDLE * still,
         decision_s=done.decision_s,
     )  # fmt: skip
-    return with_summaries(done_cell)
-
-
-def with_summaries(cell: Cell) -> Cell:
-    """The cell with what the values of each metric come to; resamples keep the share of each fault."""
-    summaries = {
-        name: summarise(values, strata=cell.faults, more=METRICS[name].more)
-        for name, values in cell.metrics.items()
-    }
-    return replace(cell, summaries=summaries)
+    return scored.with_summaries()
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
-    """The typical and the worst case of a cell by their largest speed difference (N,), for the page."""
+    """The typical (median) and the worst case of a cell by their largest speed difference (N,), for the page."""
     order = np.argsort(difference, kind="stable")
     chosen = {"typical": int(order[(len(order) - 1) // 2]), "worst": int(order[-1])}
     return {
@@ -284,16 +275,13 @@ def _thinned(trace: Trace, case: int) -> dict[str, Any]:
 def score_ends(cells: Iterable[Cell]) -> dict[tuple[str, str], tuple[float, float]]:
     """Returns that are 0 and 100 of the score, by split and scenario, where their intervals lie apart: elsewhere there is nothing
     to gain that the number of cases can tell from nothing."""
-    own = [cell for cell in cells if cell.metrics]
-    lows, highs = (
-        {cell.place: cell.summaries[RETURN] for cell in own if cell.name == name}
-        for name in (BASELINE, BOUND)
-    )
-    return {
-        place: (low.iqm, highs[place].iqm)
-        for place, low in lows.items()
-        if place in highs and low.ci95[1] < highs[place].ci95[0]
-    }
+    returns = {(cell.name, cell.place): cell.summaries[RETURN] for cell in cells if cell.metrics}
+    ends = {}
+    for name, place in returns:
+        low, high = returns[name, place], returns.get((BOUND, place))
+        if name == BASELINE and high and low.ci95[1] < high.ci95[0]:
+            ends[place] = low.iqm, high.iqm
+    return ends
 
 
 def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, float]]) -> dict[str, Summary]:
@@ -303,25 +291,16 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
         return {}
     # The same pairs of valves drive all scenarios of a split: resampled together, or the interval would be too narrow.
     seeds = [sorted({cell.split for cell in cells}).index(cell.split) for cell in cells]
-    parts = {
-        name: [(cell.summaries[name], cell.metrics[name]) for cell in cells]
-        for name in (TRACE_METRIC, TRACKING)
+    faults = [cell.faults for cell in cells]
+
+    def mean(summaries: list[Summary], values: list[Floats]) -> Summary:
+        return mean_of(summaries, list(zip(values, faults, seeds, strict=True)))
+
+    found = {
+        name: mean([cell.summaries[name] for cell in cells], [cell.metrics[name] for cell in cells])
+        for name in (PEAK, TRACKING)
     }
     if all(cell.place in ends for cell in cells):
-        parts[SCORE.name] = [
-            (
-                normalised(cell.summaries[RETURN], ends[cell.place]),
-                scaled(cell.metrics[RETURN], ends[cell.place]),
-            )
-            for cell in cells
-        ]
-    return {
-        name: mean_of(
-            [summary for summary, _ in of_cells],
-            [
-                (values, cell.faults, seed)
-                for (_, values), cell, seed in zip(of_cells, cells, seeds, strict=True)
-            ],
-        )
-        for name, of_cells in parts.items()
-    }
+        own = [(cell.summaries[RETURN], cell.metrics[RETURN], ends[cell.place]) for cell in cells]
+        found[SCORE.name] = mean([normalised(s, at) for s, _, at in own], [scaled(v, at) for _, v, at in own])
+    return found

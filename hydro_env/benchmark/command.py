@@ -11,24 +11,11 @@ from typing import Any
 import numpy as np
 
 from hydro_env import __version__
-from hydro_env.benchmark.cells import (
-    BASELINE,
-    BOUND,
-    RETURN,
-    SCORE,
-    TRACE_METRIC,
-    Cell,
-    Conditions,
-    by_name,
-    cells_of,
-    drive,
-    overall,
-    score_ends,
-)  # fmt: skip
+from hydro_env.benchmark.cells import SCORE, Cell, Conditions, by_name, cells_of, drive, overall, score_ends
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.result import check_protocol, read_declared, write_results
 from hydro_env.benchmark.statistics import normalised, probability_of_improvement
-from hydro_env.benchmark.suite import Suite, load_suite
+from hydro_env.benchmark.suite import BASELINE, BOUND, PEAK, RETURN, Suite, load_suite
 from hydro_env.benchmark.tuned import tuned, warn_of_others
 from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.controllers.user_files import controllers_in
@@ -188,12 +175,11 @@ def _told(cells: list[Cell], key: str, of: str) -> list[dict[str, Any]]:
 def _drawn_over(plant: Any, split: str) -> list[str]:
     """Values of a plant that are not scored, since the split draws them: base parameters and effects."""
     own, ranges = load_model(plant).values, SPLITS[split].ranges
-    about = {
-        name: " (varied about it)" if isinstance(ranges[name].meant_for, float) else ""
-        for name in ranges
-        if name in own
-    }
-    return list(dict.fromkeys(name.partition(".")[0] + how for name, how in about.items()))
+    told = []
+    for name in filter(own.__contains__, ranges):
+        how = " (varied about it)" if isinstance(ranges[name].meant_for, float) else ""
+        told.append(name.partition(".")[0] + how)
+    return list(dict.fromkeys(told))
 
 
 def _valves(suite: Suite, drawn: dict[str, list[str]]) -> str:
@@ -241,7 +227,7 @@ def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:
         return None
     # Of the axis of the difference.
     limit = float(f"{60.0 * scales_of(load_model(conditions.plant)).speed:.2g}")
-    about = {"period_s": conditions.control_period, "limit_rpm": limit, "metric": TRACE_METRIC}
+    about = {"period_s": conditions.control_period, "limit_rpm": limit, "metric": PEAK}
     return {**about, "splits": places}
 
 

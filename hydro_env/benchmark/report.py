@@ -10,7 +10,8 @@ from importlib.resources import files
 from typing import Any
 
 from hydro_env import __version__
-from hydro_env.benchmark.cells import SCORE, SCORED, TRACE_METRIC
+from hydro_env.benchmark.cells import SCORE, SCORED
+from hydro_env.benchmark.suite import PEAK
 from hydro_env.pages import fill
 
 NEEDS = {
@@ -84,7 +85,7 @@ def _texts(scores: dict[str, Any]) -> dict[tuple[str, ...], str]:
     """What stands in the table, by split, scenario, controller and column."""
     texts: dict[tuple[str, ...], str] = {(*_place(row), row["metric"]): _cell(row) for row in scores["rows"]}
     for entry in scores["improvement"]:
-        if entry["metric"] == TRACE_METRIC:
+        if entry["metric"] == PEAK:
             texts[*_place(entry), BETTER] = f"{entry['probability']:.0%}"
     for entry in scores["never_settled"]:
         # Where no case settled, the number would be the length of the episode.

@@ -19,20 +19,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from hydro_env.benchmark.cells import (
-    BASELINE,
-    BOUND,
-    Cell,
-    Conditions,
-    by_name,
-    cells_of,
-    drive,
-    overall,
-    score_ends,
-    with_summaries,
-)
+from hydro_env.benchmark.cells import Cell, Conditions, by_name, cells_of, drive, overall, score_ends
 from hydro_env.benchmark.statistics import Summary
-from hydro_env.benchmark.suite import Suite, shipped_suites
+from hydro_env.benchmark.suite import BASELINE, BOUND, Suite, shipped_suites
 from hydro_env.controllers.registry import CONTROLLERS, source_of, split_gains
 from hydro_env.errors import InputError
 from hydro_env.files import to_json, write_json
@@ -153,16 +142,14 @@ def write_results(
             "cases": [
                 {
                     "split": cell.split, "scenario": cell.scenario, "faults": list(cell.faults),
-                    "metrics": _short(cell.metrics, scores["metrics"]),
+                    # Single precision with as few digits as tell values apart.
+                    "metrics": {m: [float(str(np.float32(v))) for v in cell.metrics[m]] for m in scores["metrics"]},
                 }
                 for cell in own
             ],
         }  # fmt: skip
-        write_json(
-            out / f"result_{re.sub(r'[^A-Za-z0-9_.=,+-]', '_', name)}.json",
-            content | {"sha256": _digest(content)},
-            indent=None,
-        )
+        written = re.sub(r"[^A-Za-z0-9_.=,+-]", "_", name)
+        write_json(out / f"result_{written}.json", content | {"sha256": _digest(content)}, indent=None)
 
 
 def read_result(path: str | Path) -> dict[str, Any]:
@@ -273,7 +260,7 @@ def _cells(found: Mapping[str, Any], spec: Any, trust: bool) -> list[Cell]:
         )
         for each in found["cases"]
     ]  # fmt: skip
-    return [with_summaries(cell) for cell in cases]
+    return [cell.with_summaries() for cell in cases]
 
 
 def _check_summary(path: str | Path, found: Mapping[str, Any], cells: Sequence[Cell]) -> None:
@@ -292,11 +279,6 @@ def _check_summary(path: str | Path, found: Mapping[str, Any], cells: Sequence[C
 
 def _class(cell: Cell) -> str:
     return SERVO if cell.plant is not None else CLASSES.get(cell.needs, cell.needs)
-
-
-def _short(metrics: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[float]]:
-    """Values of single precision with as few digits as tell them apart."""
-    return {name: [float(str(np.float32(value))) for value in metrics[name]] for name in names}
 
 
 def _origin(spec: Any) -> dict[str, str | None]:

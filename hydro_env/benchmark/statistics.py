@@ -123,13 +123,11 @@ class Summary(FileTable):
         return self.model_dump(mode="json")
 
 
-def summarise(
-    values: ArrayLike, *, strata: ArrayLike | None = None, seed: int = 0, more: bool = False
-) -> Summary:
+def summarise(values: ArrayLike, *, strata: ArrayLike | None = None, more: bool = False) -> Summary:
     """Interquartile mean with its 95 % interval, CVaR at 95 % and the number of cases; where `more` is better the worst cases are
     those with the smallest values."""
     sample = np.asarray(values, dtype=float).ravel()
-    interval, sign = bootstrap_interval(sample, strata=strata, seed=seed), -1.0 if more else 1.0
+    interval, sign = bootstrap_interval(sample, strata=strata), -1.0 if more else 1.0
     return Summary(iqm=iqm(sample), ci95=interval, cvar95=sign * cvar(sign * sample), n=sample.size)
 
 

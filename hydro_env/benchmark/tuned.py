@@ -62,20 +62,15 @@ def tuned(
     """
     if not isinstance(plant, str | Path) or str(plant) in preset_names():
         return list(specs), []
-    mismatch = None if own else "train"
-    jobs_of = {
-        name: _Job(
-            name, Search(Task(law, plant=str(plant), mismatch=mismatch), SEED, period, progress=False), folder
-        )
-        for name in specs
-        if isinstance(name, str) and (law := _law(name))
-    }
+    jobs_of = {}
+    for name in specs:
+        if isinstance(name, str) and (law := _law(name)):
+            task = Task(law, plant=str(plant), mismatch=None if own else "train")
+            jobs_of[name] = _Job(name, Search(task, SEED, period, progress=False), folder)
     missing = [job for job in jobs_of.values() if not job.path.exists()]
     if missing and progress:
-        print(
-            f"Tuning for {plant} first, gains in {folder}: {', '.join(job.name for job in missing)}",
-            flush=True,
-        )
+        names = ", ".join(job.name for job in missing)
+        print(f"Tuning for {plant} first, gains in {folder}: {names}", flush=True)
     results = run_tasks(missing, _search, engine=engine, jobs=jobs, progress=progress, unit="controller")
     for job, result in zip(missing, results, strict=True):
         if isinstance(result, Failure):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.estimation.nominal import SPOOL_RATE
+from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Floats
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
@@ -26,7 +26,6 @@ __all__ = [
     "Rows",
 ]  # fmt: skip
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 """Rigs, as an index of arrays."""
@@ -155,9 +154,7 @@ class Controller:
 
     def converted(self, gains: Mapping[str, Floats]) -> dict[str, Floats]:
         """Gains in the units in which the law works."""
-        size = {
-            gain.name: 1.0 if gain.name in self.carried else gain.size(self.scales) for gain in self.GAINS
-        }
+        size = {gain.name: gain.size(self.scales) for gain in self.GAINS} | dict.fromkeys(self.carried, 1.0)
         return {name: value / size[name] for name, value in gains.items()}
 
     def prepare(self, plant: Plant) -> None:

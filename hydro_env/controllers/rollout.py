@@ -106,11 +106,9 @@ def roll_out(
             case = int(np.argmax(terminated))
             raise ValueError(f"case {case}: {info['termination'][case]}")
         done = np.asarray(truncated)
-    arrays = {key: np.array(rows) for key, rows in signals.items()}
+    arrays = {key: np.array(rows) for key, rows in (signals | {"command": commands}).items()}
     settled = env.scales.speed * SETTLED_RPM
-    trace = Trace(
-        period=control_period, command=np.array(commands), settled_rpm=settled, returns=returns, **arrays
-    )
+    trace = Trace(period=control_period, settled_rpm=settled, returns=returns, **arrays)
     return Episodes(trace, faults, float(np.median(sizes)), spent / (len(sizes) * len(seeds)))
 
 

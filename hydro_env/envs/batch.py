@@ -32,11 +32,9 @@ from .profiles import encode
 from .randomisation import Episodes, Randomisation
 from .render import Recorder
 from .reward import Reward, load_reward
-from .rollout import Result, Rollout
+from .rollout import Floats, Result, Rollout, Rows
 from .step_kernels import COLUMNS, STATE
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 #: Keys of the `options` of `reset`.
@@ -193,13 +191,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if isinstance(seed, int | np.integer):
             super().reset(seed=int(seed))
         self._hold(rows, read)
-        result = self._rollout.outputs()
-        self._sense(rows, result)
         self._ended = self._ended & ~mask
-        # These show what they showed last.
-        result[0][~mask], result[1][~mask] = self._frames[~mask], self._true[~mask]
-        self._true = result[1]
-        return self.seen(result[0], self._true), self._info(self._true, mask) | self._drawn_info(mask)
+        frames, self._true = self._frames.copy(), self._true.copy()  # what the other rows showed last
+        self._show_first(mask, frames, self._true)
+        return self.seen(frames, self._true), self._info(self._true, mask) | self._drawn_info(mask)
 
     def use_options(self, options: Mapping[str, Any] | None = None) -> None:
         """Gives the episodes after the present ones, until the next `reset`, these options of it; none without any.
@@ -358,9 +353,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def reasons(self, terminated: Mask) -> NDArray[np.object_]:
         """Why these rows were terminated, None for the others."""
         lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
-        return np.array(
-            [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)], object
-        )
+        told = [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)]
+        return np.array(told, object)
 
     # --- episodes -------------------------------------------------------------------------------------------------
     def _begin(
@@ -428,15 +422,15 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Starts the next episode of these rows and puts its first signals in their place."""
         for number in np.unique(self._held[ended]):
             self._begin(np.flatnonzero(ended & (self._held == number)), **self._options[int(number)])
-        first = self._rollout.outputs()
-        self._sense(np.flatnonzero(ended), first)
-        result[0][ended], result[1][ended] = first[0][ended], first[1][ended]
+        self._show_first(ended, *result[:2])
 
     # --- outputs --------------------------------------------------------------------------------------------------
-    def _sense(self, rows: Rows, result: Result) -> None:
-        """What some rows show at the beginning of their episodes."""
-        self._rollout.sense(rows, result)
-        self._remember(rows, result)
+    def _show_first(self, begun: Mask, frames: NDArray[np.float32], true: Floats) -> None:
+        """Puts what these rows show at the beginning of their episodes in its place."""
+        rows, first = np.flatnonzero(begun), self._rollout.outputs()
+        self._rollout.sense(rows, first)
+        self._remember(rows, first)
+        frames[begun], true[begun] = first[0][begun], first[1][begun]
 
     def _remember(self, rows: Rows, result: Result) -> None:
         """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one

@@ -123,9 +123,8 @@ def noise_levels(noise: Noise, rig: Scales = PAPER, end: int = 0) -> Floats:
     sizes = {"speed_rpm": rig.speed, "current_A": rig.current, "pressure_bar": rig.pressure}
     levels = {key: sizes[key] * value for key, value in NOISE.items()}
     if isinstance(noise, Mapping):
-        for key, value in noise.items():
-            check_known("noise: unknown key", [key], levels)
-            levels[key] = _level(value, f"noise: {key}", end)
+        check_known("noise: unknown key", noise, levels)
+        levels |= {key: _level(value, f"noise: {key}", end) for key, value in noise.items()}
     else:
         factor = _level(noise, "noise", end)
         levels = {key: factor * value for key, value in levels.items()}

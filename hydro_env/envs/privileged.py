@@ -12,11 +12,9 @@ from ..plant import Plant, PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
 from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
-from .observation import LIMIT, scales_on
+from .observation import LIMIT, Floats, scales_on
 from .randomisation import Randomisation
 from .rollout import Rollout
-
-Floats = NDArray[np.float64]
 
 #: Drawn values are clipped here: a sensor that is never stuck is so from an infinite time on.
 BEYOND = 2.0
@@ -35,8 +33,7 @@ def privileged_names(env: Any) -> tuple[str, ...]:
     batch = getattr(getattr(env, "unwrapped", env), "batch", getattr(env, "unwrapped", env))
     if batch.privileged is None:
         raise ValueError("the environment was made without privileged=True")
-    names: tuple[str, ...] = batch.privileged.names
-    return names
+    return tuple(batch.privileged.names)
 
 
 class Privileged:
@@ -62,8 +59,7 @@ class Privileged:
     def draw(self) -> None:
         """Takes over what is drawn for the present episodes."""
         parts = [_share(self._rollout.deviation[:, self._random_noise], *self._noise)]
-        for name, span in self._spans.items():
-            parts.append(_share(self._drawn.value(name, self._rollout.plant), *span))
+        parts += [_share(self._drawn.value(n, self._rollout.plant), *span) for n, span in self._spans.items()]
         self._values = np.clip(np.concatenate(parts, axis=1), -BEYOND, BEYOND)
 
     def now(self) -> NDArray[np.float32]:

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, shown
 from ..limits import Limits
 from ..plant import PlantModel
-from ..streams import Component, Streams
+from ..streams import Component, Floats, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, own_values
 from .step_kernels import NEVER
 
-Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 SEED = Limits(0, 2**128 - 1, whole=True)
@@ -66,11 +65,9 @@ class Randomisation:
         if not self._seeds:
             base = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
             self._seeds = [base + i for i in range(n)]
-        seeds, numbers = [], []
-        for i in rows.tolist():
-            each = given[i]
-            seeds.append(self._seeds[i] if each is None else each)
-            numbers.append(int(self.episode[i]) + 1 if each is None else 0)
+        own = [old if new is None else new for old, new in zip(self._seeds, given, strict=True)]
+        seeds = [own[i] for i in rows.tolist()]
+        numbers = [int(self.episode[i]) + 1 if given[i] is None else 0 for i in rows.tolist()]
         return Episodes(rows, seeds, numbers, _cases(rows, mismatch, seeds, numbers, case))
 
     def draw(self, episodes: Episodes, mismatch: Mismatch | None) -> dict[str, ArrayLike]:
@@ -83,9 +80,7 @@ class Randomisation:
         if mismatch is not None:
             pairs = mismatch.draw(episodes.seeds, episodes.numbers, episodes.cases, self.model)
             drawn, self.fault[rows] = pairs.values, pairs.fault
-            for name in drawn:
-                if name not in self._own:
-                    self._own[name] = own_values(name, self.model)
+            self._own |= {name: own_values(name, self.model) for name in drawn if name not in self._own}
         values: dict[str, ArrayLike] = {name: drawn.get(name, own) for name, own in self._own.items()}
         for name in self._sensor.keys() & values.keys():
             self._sensor[name][rows] = values.pop(name)

@@ -36,9 +36,8 @@ class Reward:
         """The four weights per rpm, rpm, fraction and event on a rig of this scale of speed, and the speed difference, rpm,
         beyond which `cost_difference` counts; what good controllers stay below once the motors run."""
         unit = 100.0 * speed
-        return np.array(
-            [self.tracking / unit, self.difference / unit, self.variation, self.divergence, 20.0 * speed]
-        )
+        per_rpm = self.tracking / unit, self.difference / unit
+        return np.array([*per_rpm, self.variation, self.divergence, 20.0 * speed])
 
 
 def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
@@ -49,8 +48,5 @@ def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
         return source
     if not isinstance(source, Mapping):
         raise InputError(f"reward: expected a mapping of weights or a function, found {shown(source)}")
-    weights = asdict(Reward())
-    for key, value in source.items():
-        check_known("reward: unknown weight", [key], weights)
-        weights[key] = WEIGHT.check(value, f"reward: {key}")
-    return Reward(**weights)
+    check_known("reward: unknown weight", source, asdict(Reward()))
+    return Reward(**{key: WEIGHT.check(value, f"reward: {key}") for key, value in source.items()})

@@ -108,7 +108,7 @@ def _reversals(trace: Trace) -> Floats:
     return turns.mean(axis=1) / (len(trace.command) * trace.period)
 
 
-_ALL = (
+METRICS: dict[str, Metric] = {metric.name: metric for metric in (
     Metric(
         "return", "return", "",
         "sum of the environment's reward with its default weights over the episode; more is better",
@@ -152,10 +152,8 @@ _ALL = (
         _reversals,
     ),
     Metric("command_variation", "command variation", "1/s", "the same as `command_travel_per_s`", _travel),
-)  # fmt: skip
-
-#: The metrics by name.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+)}  # fmt: skip
+"""The metrics by name."""
 
 
 def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Floats]:

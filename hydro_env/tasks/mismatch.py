@@ -20,7 +20,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,12 +32,10 @@ from ..errors import InputError, InputWarning, check_known, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
-from ..streams import Component, Streams
+from ..streams import Component, Floats, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked, known
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
-
-Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
 SENSOR_PARAMETERS = {
@@ -48,6 +45,9 @@ SENSOR_PARAMETERS = {
         note="noise over the usual noise"),
 }  # fmt: skip
 
+_RIG_EFFECTS = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
+#: Parameters that both channels share.
+_OF_RIG = {f"{effect.name}.{p.name}" for effect in _RIG_EFFECTS for p in effect.parameters}
 #: The name of no mismatch at all: the plant's own pair of valves.
 OWN = "own"
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
@@ -145,7 +145,7 @@ class Range(FileTable):
     def check(self, name: str, before: Mapping[str, Range]) -> None:
         """InputError for a range that this parameter, behind those above it, cannot have."""
         _check_bounds(name, self.ends)
-        if self.fixed and name in _rig_parameters() and self.fixed[0] != self.fixed[1]:
+        if self.fixed and name in _OF_RIG and self.fixed[0] != self.fixed[1]:
             raise InputError("both channels share this value; one number expected")
         if self.at_most is not None and self.at_most not in before:
             raise InputError(f"at_most: {shown(self.at_most)} is not among the parameters above it")
@@ -170,7 +170,7 @@ NAMED_PAIRS: dict[str, Mismatch] = {}
 
 def _shared(ranges: dict[str, Range]) -> dict[str, Range]:
     """The ranges; what both channels share has one value."""
-    shared = {*_rig_parameters(), *QUANTITIES, PACE}
+    shared = {*_OF_RIG, *QUANTITIES, PACE}
     return {
         name: each.model_copy(update={"common": each.common or name in shared})
         for name, each in ranges.items()
@@ -370,14 +370,12 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return source
     if isinstance(source, Mapping):
         return _read_own("mismatch", source, "mismatch")
-    named = {**SPLITS, **NAMED_PAIRS}
+    shipped = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
         raise InputError(
-            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(named)}), a YAML file, a mapping or None"
+            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(shipped)}), a YAML file, a mapping or None"
         )
-    text = str(source)
-    if text == OWN:
-        return None
+    text, named = str(source), {**shipped, OWN: None}
     if text in named:
         return named[text]
     path = Path(source)
@@ -386,9 +384,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         if not isinstance(data, dict):
             raise InputError(f"{path}: expected `parameter: value` lines")
         return _read_own(path.stem, data, str(path))
-    raise InputError(
-        f"unknown mismatch {shown(text)}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
-    )
+    raise InputError(f"unknown mismatch {shown(text)}: {suggestion(text, named)}, or the path of a YAML file")
 
 
 def default_mismatch(plant: Any, split: str = "train") -> str:
@@ -422,12 +418,9 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
     mismatch = checked(Mismatch, {"name": name, **own}, where)
     parts = {key: mismatch.ranges[key] for key in given if key not in SENSOR_PARAMETERS}
     if unusual := [text for key, each in parts.items() if (text := _unusual(key, each))]:
-        warnings.warn(
-            f"{where}: unusual for such a rig: {', '.join(unusual)}; a range for another plant says by `meant_for` for which "
-            "value",
-            InputWarning,
-            stacklevel=3,
-        )
+        told = f"{where}: unusual for such a rig: {', '.join(unusual)}"
+        other = "a range for another plant says by `meant_for` for which value"
+        warnings.warn(f"{told}; {other}", InputWarning, stacklevel=3)
     return mismatch
 
 
@@ -439,12 +432,6 @@ def _unusual(name: str, given: Range) -> str:
         return ""
     found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"
     return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p.unit)})"
-
-
-@cache
-def _rig_parameters() -> frozenset[str]:
-    shared = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
-    return frozenset(f"{effect.name}.{p.name}" for effect in shared for p in effect.parameters)
 
 
 def _read_package() -> dict[str, Any]:

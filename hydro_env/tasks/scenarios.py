@@ -18,16 +18,14 @@ from math import pi
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
 from ..errors import InputError, check_known, shown
 from ..plant import PAPER, Scales
-from ..streams import Component, Streams
+from ..streams import Component, Floats, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
-
-Floats = NDArray[np.float64]
 
 #: Nominal load torque, N m; the paper gives none. At the rated command of 73 V a valve holds 600 rpm against
 #: tau = D dp - B w with Km dp = Kq x - D w, x being what current and dead zone leave of the opening: 1.3 N m for the
@@ -87,10 +85,9 @@ class Scenario:
             seed = int(stream.integers(2**63))
             setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
-        setpoint, load = self.course(_grid(self.steps(period), period), stream)
-        return Reference(
-            np.asarray(setpoint, dtype=float) * RPM * self.speed, np.asarray(load, dtype=float) * self.torque
-        )
+        course = self.course(_grid(self.steps(period), period), stream)
+        setpoint, load = (np.asarray(each, dtype=float) for each in course)
+        return Reference(setpoint * RPM * self.speed, load * self.torque)
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
@@ -195,7 +192,7 @@ def _random_drives(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     return setpoint, load
 
 
-_ALL: tuple[Scenario, ...] = (
+SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
     _tables(
         "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
         [[0.2, 600.0], [2.0, -200.0], [4.0, 600.0]],
@@ -222,10 +219,8 @@ _ALL: tuple[Scenario, ...] = (
         "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, True, True
     ),
     Scenario("random_drives", "random_courses from rest, most without unequal loads", 6.0, _random_drives, True, True),
-)  # fmt: skip
-
-#: The scenarios by name.
-SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
+)}  # fmt: skip
+"""The scenarios by name."""
 
 
 def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = PAPER) -> Scenario:

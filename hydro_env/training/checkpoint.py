@@ -46,11 +46,9 @@ def save(folder: Path, model: BaseAlgorithm, progress: dict[str, Any]) -> Path:
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
-    for other in _all(folder):
-        if other != place:
-            shutil.rmtree(other)
-    for unfinished in folder.glob(".unfinished-*"):  # left behind by a run that was killed
-        shutil.rmtree(unfinished)
+    # Those before it, and what a run left behind that was killed.
+    for other in {*_all(folder), *folder.glob(".unfinished-*")} - {place}:
+        shutil.rmtree(other)
     return place
 
 

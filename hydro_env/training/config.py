@@ -108,9 +108,8 @@ def _finite(value: Any) -> Any:
     """The value, if no number in it is infinite or none."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{value} is no finite number")
-    for item in (
-        value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    ):
+    items = value.values() if isinstance(value, dict) else value
+    for item in items if isinstance(value, dict | list | tuple) else ():
         _finite(item)
     return value
 

@@ -135,13 +135,11 @@ class Run(BaseCallback):
         score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
         first, times = training.evaluate_scenarios[0], self.times()
         scores = each[first]
-        self.progress["curve"].append(
-            {"steps": self.steps, **times, "score": score, **scores, "scenarios": each}
-        )
+        told = {"score": score, **scores, "scenarios": each}
+        self.progress["curve"].append({"steps": self.steps, **times, **told})
         if score < self.progress["best"]:
             self.progress["best"] = score
-            val = {"pairs": training.evaluate_pairs, "score": score, "scenario": first}
-            val = {**val, **scores, "scenarios": each}
+            val = {"pairs": training.evaluate_pairs, "score": score, "scenario": first, **told}
             self._export(self.out / "policy.npz", {**about, **times, "val": val})
         candidate.unlink()
         self.progress["evaluated"] = self.steps
@@ -225,14 +223,13 @@ def train(
 
 def _newest(config: Config, out: Path, resume: bool) -> Path | None:
     """The checkpoint to go on from, None for a new run. InputError if the folder, the file and `resume` do not agree."""
-    newest = checkpoint.latest(out / "checkpoints")
+    newest, begun = checkpoint.latest(out / "checkpoints"), out / "config.yml"
     if newest is not None and not resume:
         raise InputError(f"{out}: holds a run already; go on with --resume, or name another folder")
-    if resume and newest is None and (out / "config.yml").is_file():
+    if resume and newest is None and begun.is_file():
         print(f"{out}: the run was stopped before its first checkpoint, it starts over", file=sys.stderr)
     elif resume and newest is None:
         raise InputError(f"{out}: holds no checkpoint to resume from")
-    begun = out / "config.yml"
     if newest is not None and begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
         raise InputError(
             f"{config.path}: differs from {begun}, with which the run was started; resume with that file"

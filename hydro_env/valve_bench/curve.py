@@ -155,27 +155,24 @@ def branches_of(curve: Curve) -> list[Branch]:
         )
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
-    rows = np.arange(0, len(signal), stride)
     turns = [0]
     direction, extreme = 0, 0
-    values = signal[rows].tolist()
+    values = signal[::stride].tolist()
     lowest = highest = 0
     for n, value in enumerate(values):
         if direction == 0:
             lowest = n if value < values[lowest] else lowest
             highest = n if value > values[highest] else highest
-            if value - values[lowest] > TURN * span:
-                direction, extreme = 1, n
-                turns = [0] if lowest == 0 else [0, lowest]
-            elif values[highest] - value > TURN * span:
-                direction, extreme = -1, n
-                turns = [0] if highest == 0 else [0, highest]
+            for way, end in ((1, lowest), (-1, highest)):
+                if way * (value - values[end]) > TURN * span:
+                    direction, extreme, turns = way, n, sorted({0, end})
+                    break
         elif direction * (value - values[extreme]) >= 0.0:
             extreme = n
         elif direction * (values[extreme] - value) > TURN * span:
             turns.append(extreme)
             direction, extreme = -direction, n
-    ends = [*(int(rows[n]) for n in turns), len(signal)]
+    ends = [*(stride * n for n in turns), len(signal)]
     found = []
     for start, stop in itertools.pairwise(ends):
         step = signal[stop - 1] - signal[start]

@@ -215,8 +215,8 @@ def _side(
     edges, spreads = zip(*(_edge(branch, sign, top, reach) for branch in loop.branches), strict=True)
     outward, back = (loop.rising, loop.falling) if sign > 0 else (loop.falling, loop.rising)
 
-    def reached(branch: Monotone | None, flow: float) -> float | None:
-        return None if branch is None else sign * float(branch.signal_at(sign * flow))
+    begun = sign * top * BEGUN
+    opens, closes = (None if b is None else sign * float(b.signal_at(begun)) for b in (outward, back))
 
     end = sign * (loop.high if sign > 0 else loop.low)
     # On the way out only: on the way back hysteresis alone keeps the flow up.
@@ -233,8 +233,8 @@ def _side(
     return Side(
         dead_zone=float(np.mean(edges)),
         dead_zone_uncertainty=float(np.max(spreads)) + 0.5 * (steps[0] + steps[1] * slope),
-        opens_at=reached(outward, top * BEGUN),
-        closes_at=reached(back, top * BEGUN),
+        opens_at=opens,
+        closes_at=closes,
         gain=1.0 / slope,
         linearity_percent=100.0 * off / curve.rated,
         maximum_flow=top,
@@ -305,13 +305,11 @@ def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict
     around = np.abs(curve.signal - where) < 0.1 * curve.rated
     steepest = max(side.gain for side in sides.values() if side)
     spread += 0.5 * (resolution(curve.signal[around]) + resolution(curve.flow[around]) / steepest)
-    found = {
-        "hysteresis_percent": curve.percent(abs(best)),
-        "hysteresis_uncertainty_percent": curve.percent(spread),
-    }
+    found = {"widest_at": where, "hysteresis_percent": curve.percent(abs(best))}
+    found["hysteresis_uncertainty_percent"] = curve.percent(spread)
     if means:
         found["mean_loop_percent"] = curve.percent(float(np.mean(means)))
-    return found | {"widest_at": where}
+    return found
 
 
 def _threshold(

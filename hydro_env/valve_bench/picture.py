@@ -40,11 +40,8 @@ def draw_curves(valves: Sequence[Sequence[Curve]], figures: Sequence[Figures]) -
                 axis.plot(branch.signal * scale(curve), branch.flow / LPM, color=colour, linestyle=style,
                           alpha=1.0 / (1.0 + place), label=label if branch is loop.branches[0] else None)  # fmt: skip
             _arrows(axis, loop, scale(curve), colour)
-        own = [
-            sign * side.dead_zone * scale(sweeps[0])
-            for sign, side in ((1, found.positive), (-1, found.negative))
-            if side is not None
-        ]
+        sides = {1: found.positive, -1: found.negative}
+        own = [sign * side.dead_zone * scale(sweeps[0]) for sign, side in sides.items() if side is not None]
         axis.plot(own, np.zeros(len(own)), "o", color=colour, **DOT)
         edges += own
     if edges:
@@ -64,17 +61,15 @@ def _scale(curves: Sequence[Curve]) -> tuple[Callable[[Curve], float], str]:
 
 
 def _arrows(axis: Any, loop: Loop, scale: float, colour: str) -> None:
+    style = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 9}
     for branch, way in ((loop.rising, 1), (loop.falling, -1)):
         if branch is None or len(branch.signal) < 10:
             continue
+        x, q = branch.signal * scale, branch.flow / LPM
         for share in (0.18, 0.82):
-            n = int(np.clip(share * len(branch.signal), 3, len(branch.signal) - 4))
-            tail, tip = (
-                (branch.signal[at] * scale, branch.flow[at] / LPM) for at in (n - 3 * way, n + 3 * way)
-            )
-            axis.annotate(
-                "", tip, tail, arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 9}
-            )
+            n = int(np.clip(share * len(x), 3, len(x) - 4))
+            tail, tip = ((x[at], q[at]) for at in (n - 3 * way, n + 3 * way))
+            axis.annotate("", tip, tail, arrowprops=style)
 
 
 def draw_rates(names: Sequence[str], checks: Sequence[RateCheck]) -> Any:

@@ -22,6 +22,9 @@ from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, Monot
 from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
 
+#: A mean with the ends of its 95 % interval.
+Interval = tuple[float, float, float]
+
 #: Rates must differ by this factor to tell anything.
 APART = 1.5
 #: Heights of the flow at which loops are compared, and the number of blocks they fall into on each side.
@@ -58,9 +61,9 @@ class RateCheck:
     reason: str
     sweeps: tuple[Sweep, ...] = ()
     rated: float = 1.0
-    hysteresis_percent: tuple[float, float, float] | None = None
-    lag_s: tuple[float, float, float] | None = None
-    share: tuple[float, float, float] | None = None
+    hysteresis_percent: Interval | None = None
+    lag_s: Interval | None = None
+    share: Interval | None = None
     bound_percent: float | None = None
     exponent: float | None = None
     findings: tuple[str, ...] = ()
@@ -68,7 +71,7 @@ class RateCheck:
     def as_json(self) -> dict[str, Any]:
         """The check as plain data: values with `low` and `high`."""
 
-        def triple(value: tuple[float, float, float] | None, unit: str) -> dict[str, Any] | None:
+        def triple(value: Interval | None, unit: str) -> dict[str, Any] | None:
             return value and dict(zip(("value", "low", "high", "unit"), (*value, unit), strict=True))
 
         return {
@@ -189,11 +192,9 @@ def _decide(sweeps: tuple[Sweep, ...], rates: Floats, rated: float) -> RateCheck
     return RateCheck(verdict, story, sweeps, rated, percent, lag, share, bound, exponent, tuple(notes))  # type: ignore[arg-type]
 
 
-def _straight_line(
-    wide: Floats, rates: Floats, resolution: float
-) -> tuple[list[tuple[float, float, float]], Floats]:
-    """Width at rest and lag of a loop whose width grows along a line over the rate, each with its 95 % interval (mean, low,
-    high), and what the line leaves of the mean widths (rates,). `wide` is (rates, blocks of one sweep)."""
+def _straight_line(wide: Floats, rates: Floats, resolution: float) -> tuple[list[Interval], Floats]:
+    """Width at rest and lag of a loop whose width grows along a line over the rate, and what the line leaves of the mean widths
+    (rates,). `wide` is (rates, blocks of one sweep)."""
     means = np.abs(wide.mean(axis=1))
     # Weights by the inverse rate: what scatters about the line grows with the width of the loop.
     design = np.column_stack([np.ones_like(rates), 2.0 * rates])

@@ -9,11 +9,10 @@ stands for the constant valve pressure drop of the standard.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, Plant, PlantModel
-from hydro_env.valve_bench.curve import Curve
+from hydro_env.valve_bench.curve import Curve, Floats
 from hydro_env.waveforms import triangle
 
 #: What can be taken as the valve's input, and its unit.
@@ -64,7 +63,7 @@ def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> 
     used up: pass a copy.
     """
     coupled = any(CATALOGUE[effect].couples_channels for effect in plant.effects)
-    flows: dict[int, NDArray[np.float64]] = {}
+    flows: dict[int, Floats] = {}
     for channels in ((0,), (1,)) if coupled else ((0, 1),):
         plant.reset()
         time, share, swept = _swept(plant, channels, seconds, period, ("flow",))
@@ -80,7 +79,7 @@ def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> 
 
 def _swept(
     plant: Plant, channels: tuple[int, ...], seconds: float, period: float, signals: tuple[str, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+) -> tuple[Floats, Floats, dict[str, Floats]]:
     """Sweeps valves of all rigs: times (T,), commands (T,) as shares of the rated ones, and `signals` (T, rigs, 2), all after a
     quarter that conditions the valves."""
     quarter = max(1, round(seconds / 4.0 / period))

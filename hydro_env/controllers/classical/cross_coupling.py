@@ -103,15 +103,11 @@ class VirtualLeader(CrossCoupled):
         direction = np.where(measured.setpoint >= leader, 1.0, -1.0)
         ahead = direction * self._reference.step(measured.setpoint)
         slower = np.min(direction[:, None] * measured.speed, axis=1)
-        limit = np.maximum(
-            slower + np.ravel(self.gains["lead"]) * RPM, direction * leader - self._retreat(leader)
-        )
+        # It falls back no faster than it runs: a step back is a bump.
+        retreat = self._reference.share * (np.abs(leader) + 600.0 * RPM)
+        limit = np.maximum(slower + np.ravel(self.gains["lead"]) * RPM, direction * leader - retreat)
         self._reference.value = direction * np.minimum(ahead, limit)
         return self._follow(self._reference.value, measured)
-
-    def _retreat(self, leader: Floats) -> Floats:
-        """How far the leader may fall back in one sample: no faster than it runs (a step back is a bump)."""
-        return self._reference.share * (np.abs(leader) + 600.0 * RPM)
 
 
 class MasterSlave(Following):

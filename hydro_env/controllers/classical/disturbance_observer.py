@@ -40,9 +40,8 @@ class DisturbanceObserver(Controller):
 
     def start(self, measured: Measurements) -> None:
         n = len(measured.speed)
-        self._spool = SpoolModel(
-            measured.command, channel_of(SPOOL, MOTOR, self.period, 1), SPOOL.pressure_lag
-        )
+        channel = channel_of(SPOOL, MOTOR, self.period, 1)
+        self._spool = SpoolModel(measured.command, channel, SPOOL.pressure_lag)
         self._valve = np.zeros((n, 2, 2)), np.ones((n, 2))
         self._model = measured.speed.astype(float)
         self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.reference import DoublePole
@@ -73,15 +72,15 @@ class ModelInverse(Controller):
         self._edges = np.stack([self._commands[opens], self._commands[::-1][closes]])
 
     def start(self, measured: Measurements) -> None:
-        n = len(measured.speed)
         self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
         self._past = [self._reference.speed] * (LAG + 1)
-        self._sum = np.zeros((n, 2))
+        self._sum = np.zeros_like(measured.speed)
         rate = float(np.mean(np.sqrt(self._motor["k"] / self._motor["m"])))
         self._shaper = InputShaper(rate, self.period, measured.command.astype(float))
 
     def command(self, measured: Measurements) -> Floats:
-        kp, ti, ks, blend = (_column(self.gains[key]) for key in ("Kp", "Ti", "Ks", "blend"))
+        # Columns, in which a gain may have one row per rig.
+        kp, ti, ks, blend = (np.reshape(self.gains[key], (-1, 1)) for key in ("Kp", "Ti", "Ks", "blend"))
         self._move_reference(measured.setpoint)
         error = self._past[0][:, None] - measured.speed
         apart = np.mean(measured.speed, axis=1, keepdims=True) - measured.speed
@@ -119,13 +118,7 @@ class ModelInverse(Controller):
         return command + (share - 1.0) * (edge - middle)
 
 
-def _column(gain: NDArray[np.float64]) -> Floats:
-    """A gain as a number or a column with one row per rig."""
-    return np.reshape(gain, (-1, 1))
-
-
-def _rising(flow: ArrayLike, command: Floats) -> tuple[Floats, Floats]:
+def _rising(flow: Floats, command: Floats) -> tuple[Floats, Floats]:
     """The rows of a curve at which the flow rises, so that it can be read the other way round."""
-    values = np.asarray(flow, dtype=float)
-    rises = np.concatenate([[True], np.diff(values) > 1e-9 * np.ptp(values)])
-    return values[rises], command[rises]
+    rises = np.concatenate([[True], np.diff(flow) > 1e-9 * np.ptp(flow)])
+    return flow[rises], command[rises]

@@ -13,15 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_env.controllers.base import (
-    FRACTION_PER_V,
-    OUTPUT_SHAPING,
-    RPM,
-    Controller,
-    Floats,
-    Gain,
-    Measurements,
-)
+from hydro_env.controllers.base import FRACTION_PER_V, OUTPUT_SHAPING, Controller, Floats, Gain, Measurements
+from hydro_env.units import RPM
 
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""

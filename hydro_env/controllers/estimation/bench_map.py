@@ -14,8 +14,8 @@ from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
-UNREAD = ((0.1, 0.8), (0.1, 0.8))
-"""Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
+UNREAD = 0.1, 0.8
+"""Edge and gain that a valve is taken to have where the bench cannot read its curve: about the mean of its type."""
 
 
 @dataclass
@@ -81,9 +81,8 @@ def _read(curve: Curve, rated_flow: float) -> tuple[tuple[float, float], ...]:
     try:
         found = sides_of(curve, loop_of(curve))
     except InputError:
-        return UNREAD
-    sides = (found[1], found[-1])
+        return UNREAD, UNREAD
     return tuple(
-        missing if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / rated_flow)
-        for side, missing in zip(sides, UNREAD, strict=True)
+        UNREAD if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / rated_flow)
+        for side in (found[1], found[-1])
     )

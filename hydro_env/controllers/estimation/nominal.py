@@ -86,3 +86,8 @@ class Motor:
         """Flow seen from speed and leakage (eq. 1) and the lines' swelling; `rise` is the pressure's, Pa/s."""
         leak = self.leakage * NOMINAL["Km"] * pressure
         return (NOMINAL["D"] * speed + leak + 1e-12 * self.compliance * rise) / RATED_FLOW
+
+    def flow_noise(self, speed: Floats, pressure: Floats) -> Floats:
+        """Noise of that flow where the sensors' noise is these multiples of the usual."""
+        leak, turn = NOMINAL["Km"] * PRESSURE_NOISE / RATED_FLOW, NOMINAL["D"] * SPEED_NOISE / RATED_FLOW
+        return np.hypot(self.noise * leak * pressure, turn * speed)

@@ -13,14 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_env.controllers.base import Bools, Floats, Rows
-from hydro_env.controllers.estimation.nominal import (
-    FLOW_NOISE,
-    NOMINAL,
-    PRESSURE_NOISE,
-    RATED_FLOW,
-    SPEED_NOISE,
-    Motor,
-)
+from hydro_env.controllers.estimation.nominal import FLOW_NOISE, NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
@@ -30,8 +23,6 @@ KEPT, SHARE = np.array([3, 6, 8]), np.array([0.51, 0.446, 0.326])
 """How many of the first 4, 8 and 12 readings at rest count, the quietest, and the mean of their squares for noise of variance 1
 (order statistics of the chi-square distribution with one degree of freedom)."""
 INERTIA, DISPLACEMENT, FRICTION, LEAKAGE = (NOMINAL[name] for name in ("J", "D", "B", "Km"))
-LEAK_NOISE, TURN_NOISE = LEAKAGE * PRESSURE_NOISE / RATED_FLOW, DISPLACEMENT * SPEED_NOISE / RATED_FLOW
-"""Usual noise of the measured flow that comes from the pressure and from the speed."""
 
 
 @dataclass(frozen=True)
@@ -76,21 +67,17 @@ class SensorSupervision:
         num_rigs, pair = len(seen.speed), seen.speed.shape
         self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
         self._period, self._leak = period, motor.leakage * LEAKAGE
-        self._leak_noise, self._pressure_noise = motor.noise * LEAK_NOISE, motor.noise * PRESSURE_NOISE
+        self._motor, self._pressure_noise = motor, motor.noise * PRESSURE_NOISE
         self._drag = motor.friction * FRICTION
-        stuck, lagging = np.zeros((2, *pair), bool)
-        noise, pressure_noise, square, pressure_square = np.ones((4, *pair))
-        speed, size = np.array(seen.speed, float), np.full(pair, (15.0 * RPM) ** 2)
-        lag, along = np.zeros((2, *pair))
-        self.state = SensorState(
-            speed, noise, pressure_noise, square, pressure_square, stuck, lagging, lag, along, size
-        )
+        noises, flags, sums = np.ones((4, *pair)), np.zeros((2, *pair), bool), np.zeros((3, *pair))
+        sums[2] = (15.0 * RPM) ** 2  # the first `size`
+        self.state = SensorState(np.array(seen.speed, float), *noises, *flags, *sums)
         self._read, self._pressure = np.stack([seen.speed] * 3), np.stack([seen.pressure] * 3)
         # squares of the first three readings at rest: of both speeds, then both pressures
         self._firsts = np.full((num_rigs, 3, 4), np.inf)
         self._age, self._steady = np.ones(num_rigs, int), np.zeros(num_rigs, int)
         self._first_readings(slice(None), seen.speed, seen.pressure)
-        noise, pressure_noise = np.sqrt(square), np.sqrt(pressure_square)
+        noise, pressure_noise = np.sqrt(self.state.speed_square), np.sqrt(self.state.pressure_square)
         self.state.noise[:] = np.where(noise > settings.noisy, noise, 1.0)
         self.state.pressure_noise[:] = np.where(pressure_noise > settings.noisy_pressure, pressure_noise, 1.0)
 
@@ -103,7 +90,7 @@ class SensorSupervision:
     def flow_noise(self) -> Floats:
         """Noise of the measured flow as a multiple of the usual, (num_rigs, 2)."""
         s = self.state
-        heard = np.hypot(self._leak_noise * s.pressure_noise, TURN_NOISE * np.minimum(s.noise, 5.0))
+        heard = self._motor.flow_noise(np.minimum(s.noise, 5.0), s.pressure_noise)
         return np.where((s.noise > 1.0) | (s.pressure_noise > 1.0), heard / FLOW_NOISE, 1.0)
 
     def update(self, seen: Measurements, torque: Floats, valve_flow: Floats, steady: Bools) -> Floats:
@@ -131,9 +118,8 @@ class SensorSupervision:
         for speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
         may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
         quieter ones count."""
-        squares = np.minimum(
-            np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1) ** 2, 900.0
-        )
+        deviations = np.stack([speed / SPEED_NOISE, pressure / self._pressure_noise], axis=1)
+        squares = np.minimum(deviations**2, 900.0)
         index, age = np.arange(len(self._age))[rows], self._age[rows]
         self._firsts[index, age - 1] = squares.reshape(len(index), 4)
         kept = KEPT[age - 1]

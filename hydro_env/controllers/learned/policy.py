@@ -20,15 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.learned.policy_interface import Policy, make_interface
+from hydro_env.controllers.learned.policy_interface import Floats, Policy, make_interface
 from hydro_env.errors import InputError, located, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
 RECURRENT_SCHEMA = "hydro_env/policy/3"
 """Of files with a recurrent layer, which readers of the other schema would not understand."""
-
-Floats = NDArray[np.floating[Any]]
 
 CONTROL_PERIOD = 0.01
 """With which a policy was trained whose file does not say it, s: the environment's own."""

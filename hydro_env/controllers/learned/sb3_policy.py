@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import warnings
 import zipfile
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -80,23 +81,18 @@ def _kind_of_policy(path: Path) -> str:
         raise InputError(f"{path}: is no agent as Stable-Baselines3 saves one (model.save)") from None
 
 
+_ALGORITHMS = {
+    "sb3_contrib": {"recurrent": "RecurrentPPO", "tqc": "TQC", "crossq": "CrossQ", "ars": "ARS"},
+    "stable_baselines3": {"sac": "SAC", "td3": "TD3", "common": "PPO"},
+}
+"""What loads an agent, by the library and the module of its policy; PPO, TRPO and A2C share theirs, and so do DDPG and TD3."""
+
+
 def _algorithm(path: Path, policy: str) -> Any:
-    """The class that loads agents with policies of this module; PPO, TRPO and A2C share theirs, and so do DDPG and TD3."""
-    kinds: dict[str, Any]
-    if policy.startswith("sb3_contrib"):
-        import sb3_contrib as library
-
-        kinds = {
-            "recurrent": library.RecurrentPPO,
-            "tqc": library.TQC,
-            "crossq": library.CrossQ,
-            "ars": library.ARS,
-        }
-    else:
-        import stable_baselines3 as library
-
-        kinds = {"sac": library.SAC, "td3": library.TD3, "common": library.PPO}
-    found = [kind for name, kind in kinds.items() if f".{name}." in policy]
+    """The class that loads agents with policies of this module."""
+    name = "sb3_contrib" if policy.startswith("sb3_contrib") else "stable_baselines3"
+    library = import_module(name)
+    found = [kind for part, kind in _ALGORITHMS[name].items() if f".{part}." in policy]
     if not found:
         raise InputError(f"{path}: agents with policies of {policy} are not known")
-    return found[0]
+    return getattr(library, found[0])

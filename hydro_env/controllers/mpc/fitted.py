@@ -87,15 +87,14 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     settles = answer + motor.leakage * NOMINAL["Km"] / oil  # and with the leakage
     motor = replace(motor, damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
     most = _most_feedback(settles, swings, late)
-    push = min(
-        SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"], GENTLE * RATED_FLOW / NOMINAL["D"]
-    )
+    push = SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"]
     return FlowSettings(
         motor=motor,
         estimator=EstimatorSettings(spool=spool, valves=VALVES),
         reference=ReferenceSettings(
             rate=min(SHARES["rate"] * max(settles, swings), 42.0, 0.8 / late),
-            rise=min(SHARES["rise"] * settles, 28.0), fall=2.0, doubt=2.9, most=push, foresight=0.0,
+            rise=min(SHARES["rise"] * settles, 28.0), fall=2.0, doubt=2.9, foresight=0.0,
+            most=min(push, GENTLE * RATED_FLOW / NOMINAL["D"]),
         ),
         probing=PROBING,
         crossing=CROSSING,

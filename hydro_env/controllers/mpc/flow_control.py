@@ -12,7 +12,7 @@ place on the Pareto front of speed difference and tracking error are left to the
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import FromTheBench
@@ -35,6 +35,10 @@ SWEEP = Gain(
 SEARCH = Gain(
     "search", "1/s", 1.0, 20.0, default=9.3, summary="pace of the spools when crossing an unknown dead zone"
 )
+
+
+PARTS = {"reference": ("rate", "rise", "fall"), "probing": ("sweep",), "crossing": ("search",)}
+"""The settings that the gains belong to."""
 
 
 class ProbingFlow(Controller):
@@ -75,17 +79,11 @@ class ProbingFlow(Controller):
             s = replace(own, probing=replace(own.probing, active=s.probing.active))
             gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
-        def tuned(part: Any, *names: str) -> Any:
-            return replace(part, **{name: gains[name] for name in names if name in gains})
-
-        law = FlowController(
-            replace(
-                s,
-                reference=tuned(s.reference, "rate", "rise", "fall"),
-                probing=tuned(s.probing, "sweep"),
-                crossing=tuned(s.crossing, "search"),
-            )
-        )
+        parts = {
+            part: replace(getattr(s, part), **{name: gains[name] for name in names if name in gains})
+            for part, names in PARTS.items()
+        }
+        law = FlowController(replace(s, **parts))
         law.start(measured, self.period)
         return law
 

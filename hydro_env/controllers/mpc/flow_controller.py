@@ -23,16 +23,19 @@ import numpy as np
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
-from hydro_env.controllers.estimation.nominal import FLOWING, Motor
+from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD, Motor
 from hydro_env.controllers.input_shaping import InputShaper
-from hydro_env.controllers.mpc.compensation import compensate
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
 from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
-from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
+from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings, capacity
 from hydro_env.controllers.settings import setting
 from hydro_env.envs.observation import Measurements
+from hydro_env.jit import compiled
+
+BLEND = 0.01
+"""Flow below which the jump over the dead zone is a ramp: just above what counts as flow."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class FlowController:
         remembered = self.feedback.remembered
         self.reference = Reference(s.reference, channel, seen.setpoint, seen.speed, remembered)
         self.shaper = InputShaper(s.estimator.spool.rate, period, seen.command)
-        planned = s.planner if Planner.fits(period) else None
+        planned = s.planner if abs(period - TUNED_PERIOD) < 1e-6 else None
         self.planner = Planner(planned, seen.command, channel) if planned else None
         # periods by which speeds follow the reference
         self._response = s.planner.behind if s.planner else s.feedback.delay / period
@@ -91,9 +94,8 @@ class FlowController:
         """Commands (num_rigs, 2) in [-1, 1]."""
         e, probing = self.estimator, self.probing.active
         valves = e.valves.state
-        flow = self.feedback.state.flow / self.settings.motor.strength(
-            self.feedback.state.flow, e.motors.state.pressure
-        )
+        asked_for, pressure = self.feedback.state.flow, e.motors.state.pressure
+        flow = asked_for / self.settings.motor.strength(asked_for, pressure)
         asked = np.empty_like(flow)
         compensate(flow, valves, asked)
         self.crossing.steer(asked, e.flow, FLOWING * e.flow_noise, valves)
@@ -137,3 +139,20 @@ class FlowController:
         # what the average goes on from
         shaper.replace(planned[:, None], sent)
         return sent
+
+
+@compiled
+def compensate(flow, valves, command):
+    """Fills in commands (N, 2) for flows (N, 2), which are lowered in place where a valve is at its limit: both give way, so that
+    the motors stay together. valves: `ValveState`."""
+    for i in range(flow.shape[0]):
+        excess = 0.0
+        for c in range(2):
+            d = 1 if flow[i, c] < 0.0 else 0
+            excess = max(excess, abs(flow[i, c]) - capacity(valves.gain[i, c], valves.edge[i, c, d]))
+        for c in range(2):
+            flow[i, c] -= np.sign(flow[i, c]) * excess
+            positive, negative = valves.edge[i, c, 0], valves.edge[i, c, 1]
+            middle, opening = 0.5 * (positive - negative), abs(flow[i, c]) / valves.gain[i, c]
+            beyond = -(negative + opening) if flow[i, c] < 0.0 else positive + opening
+            command[i, c] = middle + min(abs(flow[i, c]) / BLEND, 1.0) * (beyond - middle)

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_env.controllers.base import Bools, Floats
-from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.reference import ReferenceState
@@ -100,18 +99,13 @@ class Work(NamedTuple):
 
 
 class Planner:
-    """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period it was tuned at."""
+    """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period that it was tuned at."""
 
     def __init__(self, settings: PlannerSettings, sent: Floats, channel: Channel) -> None:
         """The command `sent` (num_rigs, 2) goes on at first."""
         self.settings, self._numbers = settings, numbers(PlannerNumbers, settings)
         self._channel, self._work = channel, Work.of(channel.steps)
         self.plan, self._mean = np.stack([sent] * HORIZON, axis=-1), np.zeros(len(sent))
-
-    @staticmethod
-    def fits(period: float) -> bool:
-        """Whether commands are planned at this control period."""
-        return abs(period - TUNED_PERIOD) < 1e-6
 
     def step(self, planned: Bools, plain: Floats, scene: Scene) -> Floats:
         """Commands (num_rigs, 2) of the rigs that are `planned` (num_rigs,); `plain` (num_rigs, 2, HORIZON) is a plan to begin

@@ -84,8 +84,5 @@ def read_gains(path: str | Path) -> GainsFile:
 def write_gains(path: str | Path, found: GainsFile) -> None:
     """Writes a gains file atomically; makes its folder if need be."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    data = found.model_dump()
-    for key in ("plant", "periods"):
-        if not data[key]:
-            del data[key]
-    write_json(Path(path), {"schema": SCHEMA, **data})
+    empty = {key for key in ("plant", "periods") if not getattr(found, key)}
+    write_json(Path(path), {"schema": SCHEMA, **found.model_dump(exclude=empty)})

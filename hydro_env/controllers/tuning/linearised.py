@@ -49,14 +49,9 @@ def largest_sensitivity(plant: tuple[Floats, Floats, Floats], kp: float, ti: flo
         return np.inf
     # The mode of the spool is sharp: a grid that is fine around every pole of the closed loop and of the plant.
     poles = np.abs(np.concatenate([np.linalg.eigvals(closed), np.linalg.eigvals(a)]))
-    grid = np.concatenate(
-        [np.geomspace(1e-2, 1e4, 400), *(pole * np.linspace(0.9, 1.1, 101) for pole in poles)]
-    )
-    s = 1j * grid
-    speed = (
-        np.linalg.solve(s[:, None, None] * np.eye(5) - a, np.broadcast_to(b[:, None], (len(s), 5, 1)))[..., 0]
-        @ c
-    )
+    around = np.outer(poles, np.linspace(0.9, 1.1, 101))
+    s = 1j * np.concatenate([np.geomspace(1e-2, 1e4, 400), around.ravel()])
+    speed = np.linalg.solve(s[:, None, None] * np.eye(5) - a, b[None, :, None])[..., 0] @ c
     return float(np.max(1.0 / np.abs(1.0 + kp * (1.0 + 1.0 / (ti * s)) * speed)))
 
 

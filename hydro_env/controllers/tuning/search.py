@@ -97,37 +97,14 @@ class Search:
         return self.cases * POPULATION * len(self.task.scenarios)
 
 
-def costs_of(
-    controller: Any,
-    count: int,
-    task: Task,
-    seeds: Sequence[int],
-    period: float,
-    bar: tqdm | None = None,
-) -> Floats:
-    """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
-    total, wear = np.zeros(count), WEAR * scales_of(load_model(task.plant)).speed
-    for scenario in task.scenarios:
-        done = roll_out(
-            controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
-            control_period=period, dtype="float32",
-        )  # fmt: skip
-        tracking, peak, rms, variation = (done.metrics(COSTS)[name] for name in COSTS)
-        beyond = np.maximum(tracking - IDLE * np.abs(done.trace.setpoint_rpm).mean(axis=0), 0.0)
-        costs = tracking + task.weight * (peak + RMS * rms) + wear * variation + (IDLING - 1.0) * beyond
-        total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
-        if bar is not None:
-            bar.update(len(done.returns))
-    return total
-
-
 def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[str, Any]:
     """{"gains", "tuning"}; gains that are `known` beforehand are candidates of the first generation.
 
     InputError for a control law or split that may not be tuned on, or a budget below three generations.
     """
-    task = _checked(wanted)
-    law, generations = law_of(task.law), wanted.episodes // wanted.generation - 1
+    wanted = _checked(wanted)
+    task, generations = wanted.task, wanted.episodes // wanted.generation - 1
+    law = law_of(task.law)
     bounds = _bounds(law, known)
     first = _latin_hypercube(bounds, np.random.default_rng(wanted.seed))
     for row, gains in enumerate(known, 1):
@@ -136,7 +113,7 @@ def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[st
         total=(generations + 1) * wanted.generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
         disable=not wanted.progress,
     )  # fmt: skip
-    trials = _Trials(wanted, task, law, bounds, bar)
+    trials = _Trials(wanted, law, bounds, bar)
     with bar, _users_errors():
         found = differential_evolution(
             trials.costs, bounds, init=first, maxiter=generations - 1,
@@ -155,7 +132,7 @@ def search(wanted: Search, known: Sequence[Mapping[str, float]] = ()) -> dict[st
     told["at_end_of_range"] = {name: end for name, end in ends.items() if name in found_gains}
     return {
         "gains": {key: float(f"{value * sizes[key]:.4g}") for key, value in found_gains.items()},
-        "tuning": _account(wanted, task, generations, known) | told,
+        "tuning": _account(wanted, generations, known) | told,
     }
 
 
@@ -164,7 +141,6 @@ class _Trials:
     """Candidates that drive, all at once, and the least cost so far after every generation."""
 
     wanted: Search
-    task: Task
     law: type[Controller]
     bounds: Floats
     bar: tqdm
@@ -179,8 +155,25 @@ class _Trials:
 
     def _on(self, seeds: range, genes: Floats) -> Floats:
         columns = np.repeat(_values(self.law, genes), len(seeds), axis=1)[:, :, None]
-        tried = self.law(self.task.law, **_named(self.law, columns))
-        return costs_of(tried.carry(), genes.shape[1], self.task, seeds, self.wanted.period, self.bar)
+        tried = self.law(self.wanted.task.law, **_named(self.law, columns))
+        return self._cost(tried.carry(), genes.shape[1], seeds, self.bar)
+
+    def _cost(self, controller: Any, count: int, seeds: range, bar: tqdm | None = None) -> Floats:
+        """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
+        task = self.wanted.task
+        total, wear = np.zeros(count), WEAR * scales_of(load_model(task.plant)).speed
+        for scenario in task.scenarios:
+            done = roll_out(
+                controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
+                control_period=self.wanted.period, dtype="float32",
+            )  # fmt: skip
+            tracking, peak, rms, variation = (done.metrics(COSTS)[name] for name in COSTS)
+            beyond = np.maximum(tracking - IDLE * np.abs(done.trace.setpoint_rpm).mean(axis=0), 0.0)
+            costs = tracking + task.weight * (peak + RMS * rms) + wear * variation + (IDLING - 1.0) * beyond
+            total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
+            if bar is not None:
+                bar.update(len(done.returns))
+        return total
 
     def final(
         self, population: Floats, costs: Floats, known: Sequence[Mapping[str, float]]
@@ -195,7 +188,7 @@ class _Trials:
         seeds = range(begin, begin + self.wanted.cases * POPULATION // FINALISTS)
         found = self._on(seeds, genes.T)
         best = int(np.argmin(found))
-        rest = costs_of(_Rest(), 1, self.task, seeds, self.wanted.period)
+        rest = self._cost(_Rest(), 1, seeds)
         late = self.lowest[-1 - len(self.lowest) // 4]
         told: dict[str, Any] = {
             "cost": _short(found[best]),
@@ -248,8 +241,8 @@ def _users_errors() -> Iterator[None]:
         raise InputError(f"{place}: {type(first).__name__}: {first}") from None
 
 
-def _checked(wanted: Search) -> Task:
-    """The task with the names of its scenarios."""
+def _checked(wanted: Search) -> Search:
+    """The search with the names of its scenarios."""
     task = wanted.task
     law_of(task.law)
     if task.mismatch not in ("train", None):
@@ -262,13 +255,12 @@ def _checked(wanted: Search) -> Task:
         raise InputError(
             f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation} (3 generations)"
         )
-    return task
+    return replace(wanted, task=task)
 
 
-def _account(
-    wanted: Search, task: Task, generations: int, known: Sequence[Mapping[str, float]]
-) -> dict[str, Any]:
+def _account(wanted: Search, generations: int, known: Sequence[Mapping[str, float]]) -> dict[str, Any]:
     """What a gains file says of the search, for who reads or repeats it."""
+    task = wanted.task
     return {
         "split": task.mismatch,
         "plant": str(task.plant),
