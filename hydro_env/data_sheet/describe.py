@@ -143,9 +143,8 @@ def _fit(sheet: DataSheet, c: _Channel) -> tuple[Fitted, dict[str, float]]:
         for _ in range(3):  # both are nearly in proportion
             found = steady_figures(model_of(fitted), c.number, c.q)
             hysteresis = fitted.hysteresis * nearer(found, "hysteresis_percent")
-            fitted = replace(
-                fitted, hysteresis=hysteresis, flow=fitted.flow * nearer(found, "rated_flow_lpm")
-            )
+            flow = fitted.flow * nearer(found, "rated_flow_lpm")
+            fitted = replace(fitted, hysteresis=hysteresis, flow=flow)
     model = model_of(fitted)
     return fitted, {**steady_figures(model, c.number, c.q), **dynamics_of(model, c.number, c.q)}
 

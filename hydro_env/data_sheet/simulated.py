@@ -131,9 +131,8 @@ def motor_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> di
     closed = dict.fromkeys(("dead_zone.overlap_positive", "dead_zone.overlap_negative"), 0.0)
     gain = min(2.0 * displacement * speed / travel, PARAMETERS["Kq"].possible[1])
     valve |= {"Kq": gain, "magnetic_hysteresis.amplitude": 0.0, "magnetic_hysteresis.width": 0.03}
-    bench = _on_the_bench(
-        model, **closed, **valve, **{"pressure_dependent_flow.supply_pressure": 4.0 * pressure}
-    )
+    supply = {"pressure_dependent_flow.supply_pressure": 4.0 * pressure}
+    bench = _on_the_bench(model, **closed, **valve, **supply)
     plant, found = Plant(bench), {}
     rows = round(min(max(10.0 * _memory(model, channel), 1.0), 60.0) / 0.01)
     command, load, signals = 0.6 * rated, displacement * pressure, ("speed", "pressure", "flow")

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return, Run, Statement, Store, Table
+from ..ir.nodes import Assign, Expr, For, Function, If, Jump, Return, Run, Statement, Store, Table
 from ..ir.reader import Reader
 from .templates import template
 
@@ -113,8 +113,8 @@ def statements(body: Iterable[Statement]) -> list[str]:
     return [line for each in body for line in _statement(each)]
 
 
-def _block(head: str, body: Iterable[Statement], end: str = "}") -> list[str]:
-    return [f"{head} {{", *("    " + line for line in statements(body)), end]
+def _block(head: str, body: Iterable[Statement]) -> list[str]:
+    return [f"{head} {{", *("    " + line for line in statements(body)), "}"]
 
 
 def _statement(each: Statement) -> list[str]:
@@ -136,10 +136,8 @@ def _statement(each: Statement) -> list[str]:
             return [f"{expression(call)};"]
         case Return(value):
             return ["return;" if value is None else f"return {bare(expression(value))};"]
-        case Break():
-            return ["break;"]
-        case Continue():
-            return ["continue;"]
+        case Jump(word):
+            return [f"{word};"]
 
 
 def variables(declared: dict[str, tuple[str, int]]) -> list[str]:

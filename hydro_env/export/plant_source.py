@@ -7,7 +7,6 @@ a web page.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hydro_env.ir.nodes import Expr, const, var
@@ -17,7 +16,6 @@ from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.catalogue.effect import parameter_of
 from hydro_env.plant.kernel import Kernel
 from hydro_env.plant.kernel.driver import MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S, SWEEPS
-from hydro_env.plant.plant import USUAL_DELAY
 from hydro_env.plant.validation import accepted
 from hydro_env.units import RPM
 
@@ -58,16 +56,16 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     reader.reserve("exp", "tanh", "cos", "sin", "enter", "leave", "send", "arrive")
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
-    longest = _longest_delay(model)
-    ranges = _ranges(model, (*PARAMETERS, *own), longest)
+    ranges = {name: parameter_of(name).possible for name in (*PARAMETERS, *own)}
+    ranges |= dict.fromkeys(plant.delays, (0.0, plant.longest_delay))  # no longer than the line
     by_row = {kernel.rows[name]: _accepted(name, ends, name in shared) for name, ends in ranges.items()}
-    sent = max(_MIN_SENT, int(_SENT_PER_S * longest) + 3) if kernel.has_delay else 0
+    sent = max(_MIN_SENT, int(_SENT_PER_S * plant.longest_delay) + 3) if kernel.has_delay else 0
     known = {name.upper(): str(2 * kernel.numbers[name]) for name in _PLACES if kernel.numbers[name] >= 0}
     coupled = "room[COUPLED] + room[COUPLED + 1] > 0.0" if "COUPLED" in known else "0"
     known |= {name.upper(): call for name, call in _sweeps(reader, kernel, plant.tolerance).items()}
     known["ARE_COUPLED"] = f"({coupled})"
     limits = {
-        "MAX_DELAY": longest,
+        "MAX_DELAY": plant.longest_delay,
         "MAX_ATTEMPTS": MAX_ATTEMPTS,
         "MAX_ATTEMPTS_PER_S": MAX_ATTEMPTS_PER_S,
     }
@@ -97,21 +95,6 @@ def _sweeps(reader: Reader, kernel: Kernel, tolerance: float) -> dict[str, str]:
         called = reader.call(sources[name], [Arr.of("double", "p->room", (kernel.num_cells,)), given])
         calls[name] = c_expression(Expr("call", "int", tuple(called.handed), called.name))
     return calls
-
-
-def _longest_delay(model: PlantModel) -> float:
-    """As the delay line of a `Plant` has it, s."""
-    delays = [f"{e}.{CATALOGUE[e].delays_command}" for e in model.declared if CATALOGUE[e].delays_command]
-    return max(USUAL_DELAY, *(sum(model.value(name, c) for name in delays) for c in (0, 1)))
-
-
-def _ranges(model: PlantModel, parameters: Iterable[str], longest: float) -> dict[str, tuple[float, float]]:
-    """The values that each parameter may have; a delay is no longer than the line."""
-    ranges = {name: parameter_of(name).possible for name in parameters}
-    for effect in map(CATALOGUE.__getitem__, model.declared):
-        if effect.delays_command:
-            ranges[f"{effect.name}.{effect.delays_command}"] = 0.0, longest
-    return ranges
 
 
 def _accepted(name: str, ends: tuple[float, float], shared: bool) -> str:

@@ -168,31 +168,28 @@ class Schedule:
         made = self._reader.table(array, name)
         return _Slice(made.name, made.kind, 0)
 
-    def _operand(self, row: list[Expr]) -> _Slice | nodes.Expr:
+    def _operand(self, row: list[Expr]) -> nodes.Expr:
+        """An operand in a loop over `i`."""
         if all(x is row[0] for x in row):
             simple = row[0].op in ("const", "leaf", "item") or row[0] in self._names
             return self._lowered(row[0]) if simple else self._variable(row[0])
-        return self._gathered(row)
+        return self._gathered(row).at(_I)
 
     def _block(self, block: Block) -> None:
         if block.op == "product":
             self._product(block)
             return
-        operands = [self._operand(row) for row in block.operands]
-        name = self._fresh("v", block.kind, block.size)
-        self._arrays[block] = name
-        texts = [each.at(_I) if isinstance(each, _Slice) else each for each in operands]
-        kinds = [row[0].kind for row in block.operands]
-        texts = [cast(each, kind) for each, kind in zip(texts, kinds, strict=True)]
-        value = nodes.Expr(block.op, block.kind, tuple(texts)) if block.op != "copy" else texts[0]
+        operands = tuple(cast(self._operand(row), row[0].kind) for row in block.operands)
+        name = self._arrays[block] = self._fresh("v", block.kind, block.size)
+        value = nodes.Expr(block.op, block.kind, operands)
         self.body.append(self._loop(block.size, [Store(name, _I, value)]))
 
     def _product(self, block: Block) -> None:
         (row,), (rows, columns) = block.operands, block.matrix.shape
         operand = self._gathered(row)
         weights = self._table(block.matrix, block.kind, "weights")
-        name, total = self._fresh("v", block.kind, rows), var(self._fresh("sum", block.kind), block.kind)
-        self._arrays[block] = name
+        name = self._arrays[block] = self._fresh("v", block.kind, rows)
+        total = var(self._fresh("sum", block.kind), block.kind)
         weight = cast(weights.at(add(mul(const(columns, "int"), _I), _J)), block.kind)
         more = Assign(total.value, op("add", total, op("mul", weight, cast(operand.at(_J), block.kind))))
         inner: list[Statement] = [

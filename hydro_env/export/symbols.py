@@ -66,11 +66,8 @@ class Expr(_Shared, nodes.Expr):
         return self.value
 
     def __bool__(self) -> bool:
-        return bool(
-            self._plain(
-                "what is done depends on a measured value: an `if` on it cannot be followed, `np.where` can"
-            )
-        )
+        why = "what is done depends on a measured value: an `if` on it cannot be followed, `np.where` can"
+        return bool(self._plain(why))
 
     def __float__(self) -> float:
         return float(self._plain("a measured value is made a plain number"))

@@ -371,9 +371,8 @@ def _fill(
     for path, n in sorted(changing):
         other = by_name.setdefault((names[path], n), (path, n))
         if kept[other] is not kept[path, n] or after[other] is not after[path, n]:
-            raise TraceError(
-                f"{path.strip('.')} and {other[0].strip('.')} are the same array in some samples only"
-            )
+            both = f"{path.strip('.')} and {other[0].strip('.')}"
+            raise TraceError(f"{both} are the same array in some samples only")
     needed: set[tuple[str, int]] = set()
     found = _leaves_of(program.next.values()) & by_name.keys()
     while found - needed:

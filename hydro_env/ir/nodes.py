@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 #: Kinds of numbers, from the narrowest to the widest; "float" is in single precision.
@@ -130,16 +130,13 @@ class Return:
 
 
 @dataclass
-class Break:
-    pass
+class Jump:
+    """`break` or `continue`."""
+
+    word: str
 
 
-@dataclass
-class Continue:
-    pass
-
-
-Statement = Assign | Store | If | For | Run | Return | Break | Continue
+Statement = Assign | Store | If | For | Run | Return | Jump
 
 
 @dataclass
@@ -168,28 +165,8 @@ def _walk(body: Iterable[Statement]) -> Iterator[Statement]:
     """All statements, also those inside of others."""
     for each in body:
         yield each
-        if isinstance(each, If):
-            yield from _walk([*each.body, *each.orelse])
-        elif isinstance(each, For):
-            yield from _walk(each.body)
-
-
-def _expressions_of(statement: Statement) -> list[Expr]:
-    """The expressions of a statement, those of the statements inside of it aside."""
-    match statement:
-        case Assign(_, value):
-            return [value]
-        case Store(_, index, value):
-            return [index, value]
-        case If(test):
-            return [test]
-        case For(_, start, stop):
-            return [start, stop]
-        case Run(call):
-            return [call]
-        case Return(Expr() as value):
-            return [value]
-    return []
+        if isinstance(each, If | For):
+            yield from _walk([*each.body, *getattr(each, "orelse", ())])
 
 
 def _inside(expressions: Iterable[Expr]) -> Iterator[Expr]:
@@ -204,9 +181,8 @@ def names_read(body: Iterable[Statement]) -> Counter[str]:
     """How often variables, arrays and functions are read or called; arrays also where they are written to."""
     found: Counter[str] = Counter()
     for each in _walk(body):
-        found.update(
-            x.value for x in _inside(_expressions_of(each)) if x.op in ("var", "load", "address", "call")
-        )
+        inside = _inside(x for x in vars(each).values() if isinstance(x, Expr))
+        found.update(x.value for x in inside if x.op in ("var", "load", "address", "call"))
         if isinstance(each, Store):
             found[each.array] += 1
     return found
@@ -232,10 +208,8 @@ def _kept(body: list[Statement], read: Counter[str], changing: set[str]) -> list
             case Assign(name, value) if not read[name]:
                 if any(x.op == "call" and x.value in changing for x in _inside([value])):
                     kept.append(each)
-            case If(test, inner, orelse):
-                kept.append(If(test, _kept(inner, read, changing), _kept(orelse, read, changing)))
-            case For(name, start, stop, step, inner):
-                kept.append(For(name, start, stop, step, _kept(inner, read, changing)))
             case _:
-                kept.append(each)
+                parts = [part for part in ("body", "orelse") if hasattr(each, part)]
+                inner: dict[str, Any] = {part: _kept(getattr(each, part), read, changing) for part in parts}
+                kept.append(replace(each, **inner))
     return kept

@@ -25,12 +25,11 @@ import numpy as np
 from .nodes import (
     KINDS,
     Assign,
-    Break,
-    Continue,
     Expr,
     For,
     Function,
     If,
+    Jump,
     Return,
     Run,
     Statement,
@@ -100,14 +99,8 @@ class Rec:
     fields: Mapping[str, Value]
 
 
-@dataclass(frozen=True)
-class Tup:
-    """Several values, as a function returns them."""
-
-    items: tuple[Value, ...]
-
-
-Value = Expr | Arr | Rec | Tup
+#: A tuple holds several values, as a function returns them.
+Value = Expr | Arr | Rec | tuple["Value", ...]
 
 
 def constant_of(value: Any) -> Expr | None:
@@ -129,8 +122,8 @@ def _signature(value: Value) -> Any:
             return kind, sizes, (name, offset.known) if fixed else ""
         case Rec(fields):
             return tuple((name, _signature(each)) for name, each in fields.items())
-        case Tup(items):
-            return tuple(map(_signature, items))
+        case _:
+            return tuple(map(_signature, value))
 
 
 def _passed(value: Value, name: str, given: list[tuple[str, str, bool]], handed: list[Expr]) -> Value:
@@ -154,7 +147,7 @@ def _passed(value: Value, name: str, given: list[tuple[str, str, bool]], handed:
             return replace(value, name=name, offset=const(0, "int"), shape=tuple(sizes))
         case Rec(fields):
             return Rec({key: _passed(each, f"{name}_{key}", given, handed) for key, each in fields.items()})
-        case Tup(items) if not all(isinstance(x, Expr) and x.known is not None for x in items):
+        case tuple() if not all(isinstance(x, Expr) and x.known is not None for x in value):
             raise TranslationError(f"{name}: a tuple of what is not known beforehand cannot be passed on")
     return value
 
@@ -279,13 +272,8 @@ def _pairs(inner: Iterable[Value], outer: Iterable[Value]) -> Iterator[tuple[Arr
             yield from _pairs(one.fields.values(), other.fields.values())
 
 
-def _stored(node: ast.AST) -> Iterator[str]:
-    """The variables that statements store to."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store):
-            yield child.id
-        elif isinstance(child, ast.stmt | ast.Tuple):
-            yield from _stored(child)
+def _is_product(node: ast.expr) -> bool:
+    return isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult)
 
 
 def _negative(x: Expr) -> Expr:
@@ -301,7 +289,8 @@ class _Body:
         self.kinds: dict[str, str] = {}
         self.written: set[str] = set()
         self.parameters = {each.name for each, _ in _pairs(names.values(), names.values())}
-        stores = Counter(_stored(self.node))
+        inside = ast.walk(self.node)
+        stores = Counter(n.id for n in inside if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store))
         self.stored = set(stores)
         self.once = {name for name, count in stores.items() if count == 1 and name not in names}
 
@@ -362,10 +351,8 @@ class _Body:
                     into.append(If(chosen, self._inner(body), self._inner(orelse)))
             case ast.For(target, over, body, []):
                 self._for(target, over, body, into)
-            case ast.Continue():
-                into.append(Continue())
-            case ast.Break():
-                into.append(Break())
+            case ast.Break() | ast.Continue():
+                into.append(Jump(ast.unparse(node)))
             case ast.Return(value):
                 self._return(value, into)
             case _:
@@ -404,7 +391,7 @@ class _Body:
             before = self.outputs or [(each.kind, "") for each in values]
             kinds = [wider(kind, x.kind) for (kind, _), x in zip(before, values, strict=True)]
             self.outputs = [(kind, f"out_{n}") for n, kind in enumerate(kinds)]
-            self.result = Tup(tuple(var(name, kind) for kind, name in self.outputs))
+            self.result = tuple(var(name, kind) for kind, name in self.outputs)
             # What is returned may read what an output is: all of it is computed first.
             held = [self._held(each, into) for each in values]
             for (kind, name), value in zip(self.outputs, held, strict=True):
@@ -424,7 +411,7 @@ class _Body:
             read = {n.id for each in node.elts[1:] for n in ast.walk(each) if isinstance(n, ast.Name)}
             stored = {each.id if isinstance(each, ast.Name) else "" for each in first.elts}
             if stored & {*read, ""}:  # what is stored first may be read by what comes after
-                values = [self._kept(self.value(each, into), into) for each in node.elts]
+                values = [self._held(self.value(each, into), into) for each in node.elts]
                 for target, value in zip(first.elts, values, strict=True):
                     self._store(target, value, into)
             else:
@@ -433,20 +420,17 @@ class _Body:
             return
         value = self.value(node, into)
         if len(targets) > 1:
-            value = self._kept(value, into)
+            value = self._held(value, into)
         for target in targets:
             self._store(target, value, into)
 
-    def _held(self, value: Expr, into: list[Statement]) -> Expr:
-        """The value in a variable of its own, so that what it is computed from may change."""
-        if value.known is not None:
+    def _held(self, value: Any, into: list[Statement]) -> Any:
+        """A number in a variable of its own, so that what it is computed from may change."""
+        if not isinstance(value, Expr) or value.known is not None:
             return value
         name = self.fresh("held", value.kind)
         into.append(Assign(name, value))
         return var(name, value.kind)
-
-    def _kept(self, value: Value, into: list[Statement]) -> Value:
-        return self._held(value, into) if isinstance(value, Expr) else value
 
     def _store(self, target: ast.expr, value: Value, into: list[Statement]) -> None:
         match target:
@@ -459,8 +443,8 @@ class _Body:
                 if not isinstance(array, Arr):
                     raise self.fail(target)
                 self._write(self._subscript(array, index, into, target), array, value, target, into)
-            case ast.Tuple(parts) if isinstance(value, Tup):
-                for part, each in zip(parts, value.items, strict=True):
+            case ast.Tuple(parts) if isinstance(value, tuple):
+                for part, each in zip(parts, value, strict=True):
                     self._store(part, each, into)
             case ast.Tuple(parts) if isinstance(value, Arr) and value.shape[0].known == len(parts):
                 for n, part in enumerate(parts):
@@ -499,7 +483,7 @@ class _Body:
                 own = self._variable(name, value.kind)
                 into.append(Assign(own, cast(value, self.kinds[name])))
             # Which one it is would depend on the way that led here.
-            case Arr() | Rec() | Tup() if name not in self.once:
+            case Arr() | Rec() | tuple() if name not in self.once:
                 raise TranslationError(f"{self.node.name}: {name!r} stands for several arrays")
             case Arr(offset=offset) if offset.known is None:  # what it is computed from may change
                 self.names[name] = replace(value, offset=self._held(offset, into))
@@ -529,14 +513,10 @@ class _Body:
                 return self._subscript(self.value(base, into), index, into, node)
             case ast.BinOp(left, ast.Pow(), right):
                 return self._power(node, self.number(left, into), self.number(right, into).known, into)
-            case ast.BinOp(term, ast.Add() | ast.Sub(), ast.BinOp(_, ast.Mult(), _) as product) if (
-                self.whole.fuses
+            case ast.BinOp(left, ast.Add() | ast.Sub(), right) if self.whole.fuses and (
+                _is_product(left) or _is_product(right)
             ):
-                return self._fused(product, term, into, less_product=isinstance(node.op, ast.Sub))
-            case ast.BinOp(ast.BinOp(_, ast.Mult(), _) as product, ast.Add() | ast.Sub(), term) if (
-                self.whole.fuses
-            ):
-                return self._fused(product, term, into, less_term=isinstance(node.op, ast.Sub))
+                return self._fused(left, right, isinstance(node.op, ast.Sub), into)
             case ast.BinOp(left, operator, right) if type(operator) in _BINARY:
                 numbers = [self.number(each, into) for each in (left, right)]
                 return self._operation(_BINARY[type(operator)], numbers)
@@ -556,7 +536,7 @@ class _Body:
             case ast.Call():
                 return self._call(node, into)
             case ast.Tuple(items):
-                return Tup(tuple(self.value(each, into) for each in items))
+                return tuple(self.value(each, into) for each in items)
         raise self.fail(node)
 
     def _name(self, name: str, node: ast.AST) -> Value:
@@ -579,15 +559,15 @@ class _Body:
                 size = mul(size, each)
             return size
         if isinstance(base, Arr) and name == "shape":
-            return Tup(base.shape)
+            return base.shape
         raise self.fail(node)
 
     def _subscript(self, base: Value, index: ast.expr, into: list[Statement], node: ast.AST) -> Value:
-        if isinstance(base, Tup):
+        if isinstance(base, tuple):
             at = self.number(index, into).known
             if at is None:
                 raise self.fail(node)
-            return base.items[at]
+            return base[at]
         if not isinstance(base, Arr):
             raise self.fail(node)
         indices: list[Expr | slice] = []
@@ -634,12 +614,12 @@ class _Body:
             return found
         return op(name, a, b, kind="double" if name == "div" and whole else "")
 
-    def _fused(
-        self, product: ast.BinOp, term: ast.expr, into: list[Statement], less_product: bool = False, less_term: bool = False
-    ) -> Expr:  # fmt: skip
-        """A product and a term added; one operation unless they are whole numbers."""
+    def _fused(self, left: Any, right: Any, less: bool, into: list[Statement]) -> Expr:
+        """A sum, or difference (`less`), with a product; one operation unless they are whole numbers."""
+        product, term = (right, left) if _is_product(right) else (left, right)
         a, b, c = (self.number(each, into) for each in (product.left, product.right, term))
-        a, c = _negative(a) if less_product else a, _negative(c) if less_term else c
+        if less:
+            a, c = (_negative(a), c) if product is right else (a, _negative(c))
         if all(x.kind in ("int", "bool") for x in (a, b, c)):
             return self._operation("add", [self._operation("mul", [a, b]), c])
         return op("fma", a, b, c, kind="double")
@@ -669,10 +649,9 @@ class _Body:
         if chosen.known is not None:
             return self.value(node.body if chosen.known else node.orelse, into)
         one, other = self.value(node.body, into), self.value(node.orelse, into)
-        if isinstance(one, Tup) and isinstance(other, Tup):
+        if isinstance(one, tuple) and isinstance(other, tuple):
             held = self._held(chosen, into)
-            pairs = zip(one.items, other.items, strict=True)
-            return Tup(tuple(self._either(held, a, b, node) for a, b in pairs))
+            return tuple(self._either(held, a, b, node) for a, b in zip(one, other, strict=True))
         return self._either(chosen, one, other, node)
 
     def _either(self, chosen: Expr, first: Value, second: Value, node: ast.AST) -> Expr:
@@ -711,17 +690,17 @@ class _Body:
         if isinstance(called.result, Expr):
             return Expr("call", called.result.kind, tuple(called.handed), called.name)
         made: list[Expr] = []
-        for each in called.result.items if isinstance(called.result, Tup) else ():
+        for each in called.result if isinstance(called.result, tuple) else ():
             assert isinstance(each, Expr)
             made.append(var(self.fresh("result", each.kind), each.kind))
         outputs = [Expr("address", x.kind, (), x.value) for x in made]
         into.append(Run(Expr("call", "int", (*called.handed, *outputs), called.name)))
-        return Tup(tuple(made))
+        return tuple(made)
 
     def _local(self, node: ast.Call, into: list[Statement], zero: bool) -> Arr:
         """An array of the function's own."""
         shape = self.value(node.args[0], into)
-        items = shape.items if isinstance(shape, Tup) else (shape,)
+        items = shape if isinstance(shape, tuple) else (shape,)
         sizes = [each.known for each in items if isinstance(each, Expr)]
         if not sizes or None in sizes:
             raise self.fail(node, "has a size that is not known beforehand")

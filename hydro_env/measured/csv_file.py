@@ -53,12 +53,8 @@ def read_csv(path: Path, choose: Choose, style: TableStyle) -> Table:
     except LookupError:
         raise InputError(f"unknown encoding {style.encoding!r} in its mapping; say utf-8 or cp1252") from None
     except UnicodeError:
-        said = (
-            f"{style.encoding} as its mapping says"
-            if style.encoding
-            else "UTF-16 as it begins; is it cut off?"
-        )
-        raise InputError(f"not encoded in {said}") from None
+        mapped, begun = f"{style.encoding} as its mapping says", "UTF-16 as it begins; is it cut off?"
+        raise InputError(f"not encoded in {mapped if style.encoding else begun}") from None
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(f"not a complete gzip file ({error}); compress it again") from None
 
@@ -133,9 +129,8 @@ def _place(names: Sequence[str], wanted: str) -> int:
     """The place of a column, by its name or, where the header has no such name, by its number from 1."""
     found = [place for place, name in enumerate(names) if name == wanted]
     if len(found) > 1:
-        told = (
-            f"column {wanted!r} appears {len(found)} times (columns {', '.join(str(n + 1) for n in found)})"
-        )
+        places = ", ".join(str(n + 1) for n in found)
+        told = f"column {wanted!r} appears {len(found)} times (columns {places})"
         raise InputError(f"{told}; keep one of them, or call it by its number")
     if found:
         return found[0]

@@ -27,6 +27,7 @@ from .log import RigLog
 from .log_files import read_log
 from .mapping import (
     CHANNEL_SIGNALS,
+    CHANNELS,
     RIG_SIGNALS,
     USUAL_UNITS,
     Mapping,
@@ -38,7 +39,6 @@ from .mapping import (
 )
 from .names import unit_of, words
 
-_CHANNELS = ("channel_1", "channel_2")
 _NEEDED = {"command": "V", "speed": "rpm"}
 
 
@@ -254,7 +254,7 @@ def _try(path: Path, draft: Proposal) -> None:
     """Reads the log by the draft. What the gate finds surely wrong is corrected once; columns that cannot be read as what they
     are taken for are left out."""
     content, corrected = draft.content, False
-    channels = [content[key] for key in _CHANNELS if key in content]
+    channels = [content[key] for key in CHANNELS if key in content]
     if any(channel.get(signal, {}).get("column") == "?" for channel in channels for signal in _NEEDED):
         draft.problem = "no channel with a command and a speed was found; name them by hand"
         return
@@ -280,7 +280,7 @@ def _try(path: Path, draft: Proposal) -> None:
 def _left_out(draft: Proposal, problem: str) -> bool:
     """Whether a column could be left out that the problem names, and that is not needed."""
     content = draft.content
-    both = [key for key in _CHANNELS if key in content]
+    both = [key for key in CHANNELS if key in content]
     optional = [(content, signal) for signal in RIG_SIGNALS]
     optional += [(content[key], signal) for key in both for signal in CHANNEL_SIGNALS]
 
@@ -289,11 +289,9 @@ def _left_out(draft: Proposal, problem: str) -> bool:
         return any(repr(column) in problem for column in columns if column is not None)
 
     for target, signal in optional:
-        if (
-            signal in target
-            and signal not in _NEEDED
-            and (spoils(target[signal]) or f"{signal} of a " in problem)
-        ):
+        if signal in _NEEDED or signal not in target:
+            continue
+        if spoils(target[signal]) or f"{signal} of a " in problem:
             draft.why.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
             return True
     if spoils(content["time"]):

@@ -81,15 +81,12 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
         raise InputError("no two rows hold a command; a log needs at least two samples")
     part = slice(start, end)
     one, two = mapping.channels
+    of_channels = [each for each in mapping.sources() if each.number]
     log = RigLog(
         time_s=time_s[part],
         kinds=(one.actuator if one else "motor", two.actuator if two else "motor"),
         displacement=(one.size if one else None, two.size if two else None),
-        read_as={
-            f"{each.signal}_{each.number}": (each.column, each.source.unit)
-            for each in mapping.sources()
-            if each.number
-        },
+        read_as={f"{each.signal}_{each.number}": (each.column, each.source.unit) for each in of_channels},
         **{name: values[part] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     findings += check_units(table, mapping)

@@ -54,7 +54,7 @@ CONTRACT_RIG = {
     "setpoint": ("setpoint_rpm", "rpm"), "supply": ("supply_bar", "bar"), "temperature": ("temperature_C", "degC"),
 }  # fmt: skip
 CHANNEL_SIGNALS, RIG_SIGNALS = tuple(CONTRACT), tuple(CONTRACT_RIG)
-_CHANNELS = ("channel_1", "channel_2")
+CHANNELS = ("channel_1", "channel_2")
 #: What is measured on a cylinder where a motor has the former.
 _LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
 #: A speed may be given as the position whose slope it is.
@@ -322,7 +322,7 @@ def contract_mapping(names: tuple[str, ...]) -> Mapping:
         if column in names:
             owner = content if channel is None else content.setdefault(f"channel_{channel + 1}", {})
             owner[signal] = {"column": column, "unit": symbol}
-    present = [key[-1] for key in _CHANNELS if key in content] or ["1"]
+    present = [key[-1] for key in CHANNELS if key in content] or ["1"]
     needed = [f"{signal}_{c}_{CONTRACT[signal][0]}" for c in present for signal in ("command", "speed")]
     for column in ("time_s", *needed):
         if column not in names:

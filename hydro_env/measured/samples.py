@@ -184,9 +184,8 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
     off = np.abs(values - usual)
     steps = np.abs(np.diff(values))
-    least = max(
-        _SPIKE_NOISE * float(np.median(steps)), 4.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
-    )
+    resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
+    least = max(_SPIKE_NOISE * float(np.median(steps)), 4.0 * resolution)
     change = np.abs(usual[3:] - usual[:-3])
     reach = 2.0 * float(change.max())
     if not (off > least).any():

@@ -127,13 +127,12 @@ class PlantModel:
 
     def without(self, effect: str) -> PlantModel:
         """A new model in which this effect does not act."""
-        kept, ranges = (
-            {n: pair for n, pair in table.items() if n.rpartition(".")[0] != effect}
-            for table in (self.values, self.ranges)
-        )
-        return replace(
-            self, values=kept, declared=tuple(n for n in self.declared if n != effect), ranges=ranges
-        )
+
+        def rest(table: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+            return {name: pair for name, pair in table.items() if name.rpartition(".")[0] != effect}
+
+        declared = tuple(name for name in self.declared if name != effect)
+        return replace(self, values=rest(self.values), declared=declared, ranges=rest(self.ranges))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> PlantModel:
         """Itself: a model never changes."""

@@ -95,9 +95,9 @@ class _ModelFile(FileTable):
                 for own, value in own_values.items():
                     yield f"{effect}.{own}", at, f"effects.{effect}.{at}.{own}", value
 
-    def given(self) -> set[tuple[str, int]]:
-        """Names of these values, and channels."""
-        return {(name, channel) for name, side, _, _ in self.values() for channel in _SIDES[side]}
+    def places(self) -> dict[tuple[str, int], str]:
+        """Where it gives these values, by name and channel."""
+        return {(name, c): place for name, side, place, _ in self.values() for c in _SIDES[side]}
 
     def valves(self) -> dict[str, str]:
         """The valves that it names, by side."""
@@ -160,9 +160,7 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
     with located(where):
         for name, side, _, value in file.values():
             draft.put(name, side, value)
-        places = {
-            (name, channel): place for name, side, place, _ in file.values() for channel in _SIDES[side]
-        }
+        places = file.places()
         for name, channel, wrong in wrong_values(draft, dict.fromkeys(name for name, *_ in file.values())):
             if (name, channel) in places:
                 raise InputError(f"{places[name, channel]}: {wrong}")
@@ -210,7 +208,7 @@ def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], 
     as in `load_model`.
     """
     file, where = _read(source)
-    model, given = _model(file, where), file.given()
+    model, given = _model(file, where), file.places()
     base = sources_of(file.base) if file.base is not None else {}
     valves = {c: sources_of(valve) for side, valve in file.valves().items() for c in _SIDES[side]}
     found = {}
@@ -236,7 +234,7 @@ def values_set_by(source: Any) -> frozenset[str]:
     file, where = _read(source)
     _model(file, where)
     of_valves = {n for valve in file.valves().values() for n in load_model(valve).values if _of_valve(n)}
-    return frozenset({name for name, _ in file.given()} | of_valves)
+    return frozenset({name for name, _ in file.places()} | of_valves)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -8,8 +8,9 @@ inside them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf, isinf, isnan, nan
 
 from ..units import BAR, REVOLUTION, RPM
@@ -80,24 +81,23 @@ class Parameter:
             object.__setattr__(self, "typical", self.nominal)
         if isnan(self.possible[0]):
             object.__setattr__(self, "possible", (self.low, self.high))
-        varies = self.typical != self.nominal
         if not self.role:
             amount = "limit" if isinf(self.nominal) else "size"
-            object.__setattr__(self, "role", amount if varies else "shape")
+            object.__setattr__(self, "role", amount if self.typical != self.nominal else "shape")
+        for wrong in self._wrong():
+            raise ValueError(f"parameter {self.name!r}: {wrong}")
+
+    def _wrong(self) -> Iterator[str]:
+        """What cannot be."""
         if self.role not in ROLES:
-            raise ValueError(f"parameter {self.name!r}: role {self.role!r} is none of {', '.join(ROLES)}")
-        if self.carries_size != varies:
-            problem = (
-                "needs a typical value besides its neutral one"
-                if self.carries_size
-                else "has no typical value"
-            )
-            raise ValueError(f"parameter {self.name!r}: a {self.role} {problem}")
+            yield f"role {self.role!r} is none of {', '.join(ROLES)}"
+        if self.carries_size and self.typical == self.nominal:
+            yield f"a {self.role} needs a typical value besides its neutral one"
+        if not self.carries_size and self.typical != self.nominal:
+            yield f"a {self.role} has no typical value"
         for direction in self.scaling:
             if direction not in SCALINGS:
-                raise ValueError(
-                    f"parameter {self.name!r}: scaling {direction!r} is none of {', '.join(SCALINGS)}"
-                )
+                yield f"scaling {direction!r} is none of {', '.join(SCALINGS)}"
 
     @property
     def neutral(self) -> float:
@@ -114,6 +114,9 @@ class Parameter:
         """What the parameter is called in words."""
         return self.note.split(";")[0] or self.name.replace("_", " ")
 
+
+#: A parameter whose values nobody has published.
+assumed = partial(Parameter, source="assumed")
 
 # What is `possible` is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`):
 # of what makes the size of a rig, from 2 cm3 and 10 bar to 500 cm3 and 350 bar; of the rest ten times the plausible range either

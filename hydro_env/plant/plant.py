@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from ..errors import InputError
+from ..errors import InputError, check_known
 from .catalogue import CATALOGUE
 from .catalogue.effect import parameter_of
 from .kernel import STATES, Kernel, compile_kernel
@@ -109,21 +109,20 @@ class Plant:
         if not self.tolerance > 0.0:
             raise ValueError(f"tolerance is {tolerance}, expected more than 0 rad/s")
         effects = tuple(effects)
-        for name in effects:
-            if name not in CATALOGUE:
-                parameter_of(f"{name}.")  # raises the line that names the nearest effect
+        check_known("unknown effect", effects, CATALOGUE)
         half = _half(self.num_rigs, dtype) if block is None else block
         #: The compiled step.
         self.kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype, grouped)
         kernel = self.kernel
         blocks = -(-self.num_rigs // kernel.half)
         described = [CATALOGUE[name] for name in kernel.effects]
-        self._delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
-        longest = [sum(self.model.value(name, channel) for name in self._delays) for channel in (0, 1)]
-        self._longest_delay = max(USUAL_DELAY, *longest)
-        if not self._longest_delay <= MAX_DELAY:
+        #: Parameters by which commands are late, and the longest delay that the delay line holds, s.
+        self.delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
+        longest = [sum(self.model.value(name, channel) for name in self.delays) for channel in (0, 1)]
+        self.longest_delay = max(USUAL_DELAY, *longest)
+        if not self.longest_delay <= MAX_DELAY:
             raise InputError(
-                f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MAX_DELAY:g} s"
+                f"model {self.model.name!r}: the command is delayed by {self.longest_delay:g} s; at most {MAX_DELAY:g} s"
                 " are right"
             )
         self._fits(blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize)
@@ -149,7 +148,7 @@ class Plant:
     def make_room(self, period: float) -> None:
         """Has the delay line hold what is under way in rows of `period` s; shorter rows need more room."""
         blocks, slots, lanes = self._ring.shape
-        if not self.kernel.has_delay or slots >= (wanted := int(self._longest_delay / period) + 3):
+        if not self.kernel.has_delay or slots >= (wanted := int(self.longest_delay / period) + 3):
             return
         self._fits(blocks * 8.0 * wanted * (lanes + 1))
         ring, lasted = np.zeros((blocks, wanted, lanes)), np.full((blocks, wanted), inf)
@@ -206,9 +205,9 @@ class Plant:
             if name not in PARAMETERS and "." not in name:
                 parameter_of(name)
             place[:], pair[:] = self.row_of(name), value
-            if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
+            if name in self.delays and pair.max(initial=0.0) > self.longest_delay:
                 raise InputError(
-                    f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
+                    f"{name} is {pair.max():g} s, the delay line of this plant holds {self.longest_delay:g} s"
                 )
         self._by_channel(self._memory)[block, places, :, lane] = pairs
 
@@ -244,7 +243,7 @@ class Plant:
     def _observe(self) -> None:
         """Flow and measured speed from the states as they are: a run through no rows."""
         nothing = self._empty[:, 0]
-        self._advance(nothing, nothing, 1.0)
+        self.run_into(self._empty, nothing, nothing, 1.0)
 
     def take_state(
         self, other: Plant, rows: NDArray[np.int64] | None = None, parameters: bool = False
@@ -303,7 +302,7 @@ class Plant:
 
     def hold(self, command_V: Array, load_Nm: Array, period: float) -> None:
         """`step` without these checks: finite float64 arrays (num_rigs, 2)."""
-        self._advance(command_V[None], load_Nm[None], period, points=grid_points(period))
+        self.run_into(self._empty, command_V[None], load_Nm[None], period, points=grid_points(period))
 
     def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, period: float) -> None:
         """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. `make_room`
@@ -340,21 +339,15 @@ class Plant:
         return dict(zip(record, out, strict=True))
 
     def run_into(
-        self, out: Array, command_V: Array, load_Nm: Array, period: float, rows: NDArray[np.int64], every: int = 1,
+        self, out: Array, command_V: Array, load_Nm: Array, period: float, rows: NDArray[np.int64] = _NO_RECORD,
+        every: int = 1, points: int = 0,
     ) -> None:  # fmt: skip
         """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
-        the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
+        the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2). `points` as for
+        `kernel.driver.advance`.
         """
-        self._advance(command_V, load_Nm, period, rows, every, out)
-
-    def _advance(
-        self, command_V: Array, load_Nm: Array, period: float,
-        rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
-        points: int = 0,
-    ) -> None:  # fmt: skip
         if not period > 0.0:
             raise ValueError(f"period is {period}, expected more than 0 s")
-        out = self._empty if out is None else out
         self.make_room(period)
         self.kernel.advance(
             self._memory.reshape(-1), self._cells, self._ring if self.kernel.has_delay else None, self._lasted, self._head,
@@ -365,7 +358,7 @@ class Plant:
     @property
     def delay(self) -> Array:
         """By how much the commands are late, (num_rigs, 2), s."""
-        return np.sum([np.zeros((self.num_rigs, 2)), *map(self.get, self._delays)], axis=0)
+        return np.sum([np.zeros((self.num_rigs, 2)), *map(self.get, self.delays)], axis=0)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -405,13 +398,8 @@ class Plant:
         """What was lost of the rigs that `diverged`: each channel, when and by which state."""
         numbers, times = self.get("diverged"), self.get("lost_at")
         return [
-            Lost(
-                int(rig),
-                int(channel) + 1,
-                float(times[rig, channel]),
-                self.states[int(numbers[rig, channel]) - 1],
-            )
-            for rig, channel in np.argwhere(numbers > 0.0)
+            Lost(rig, channel + 1, float(times[rig, channel]), self.states[int(numbers[rig, channel]) - 1])
+            for rig, channel in np.argwhere(numbers > 0.0).tolist()
         ]
 
     # --- copies ---------------------------------------------------------------------------------------------------
@@ -453,12 +441,8 @@ def simulate(
     named = {name.split(".", 1)[0] for name in values if "." in name}
     options["effects"] = (*options.get("effects", ()), *named)
     plant = Plant(model, num_rigs, **options)
-    arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
-    plant.set_values(
-        {
-            name: array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array
-            for name, array in arrays.items()
-        }
-    )
+    for name, value in values.items():
+        array = np.asarray(value, dtype=np.float64)
+        plant.set(name, array[:, None] if array.shape == (num_rigs,) else array)
     plant.reset()
     return plant.run(command_V, load_Nm, period, record, every)

@@ -129,10 +129,8 @@ class Practice:
             raise InputError(f"{out}: cannot make this folder: {error.strerror}") from None
         kinds = columns_of(scales_of(self.given))
         texts = {f"{name}.csv": log_text(columns, kinds) for name, columns in self.logs.items()}
-        truth = dict(self.truth)
-        truth["log_sha256"] = {
-            name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()
-        }
+        sums = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+        truth = {**self.truth, "log_sha256": sums}
         for name, text in texts.items():
             write_text(out / name, text)
         self.given.to_yaml(out / "model.yaml")
@@ -162,9 +160,8 @@ def make_practice(
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
     hidden = choose(given, chosen, own.values, own.severity, duration, np.random.default_rng(size_seed))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
-    constants = (
-        scaled(draw(np.random.default_rng(form_seed)), scales_of(given)) if forms == "different" else None
-    )
+    drawn = scaled(draw(np.random.default_rng(form_seed)), scales_of(given))
+    constants = drawn if forms == "different" else None
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
     recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, duration)
     logs = {}
@@ -203,9 +200,8 @@ def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dic
     assert own.play is not None
     channels = plans_of(own.play, given.pair("u_rated"), recorder.period)
     content = hashlib.sha256(b"".join(a.tobytes() for p in channels for a in (p.value, p.load))).digest()
-    return recorder.played(
-        channels, np.random.SeedSequence([own.seed, int.from_bytes(content[:8], "little")])
-    )
+    noise_seed = np.random.SeedSequence([own.seed, int.from_bytes(content[:8], "little")])
+    return recorder.played(channels, noise_seed)
 
 
 def constants_of(truth: Mapping[str, Any]) -> Constants | None:

@@ -178,9 +178,8 @@ def _operation(common: Stream, own: Stream, dt: float) -> Plan:
     up = common.uniform([40.0, 110.0, 240.0], [110.0, 240.0, 380.0])
     stairs = sign * np.array([*up, -up[0], -up[1], 0.0])
     held = _sign(common) * common.uniform(250.0, 550.0, 2) * np.array([1.0, -1.0])
-    wave = _sweep(
-        0.0, common.uniform(150.0, 330.0), common.uniform(0.3, 0.7), common.uniform(1.0, 2.0), waving, dt
-    )
+    amplitude, low, high = common.uniform(150.0, 330.0), common.uniform(0.3, 0.7), common.uniform(1.0, 2.0)
+    wave = _sweep(0.0, amplitude, low, high, waving, dt)
     order = common.permutation(5)
     lift = _sign(own) * own.uniform(0.35, 0.75)
     pushes = own.permutation([lift, 0.3 * lift, -0.5 * lift, 0.0])

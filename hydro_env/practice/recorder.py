@@ -186,9 +186,8 @@ class _SpeedLoop:
         if self.ahead is not None:
             wanted = wanted + self.ahead[0] * setpoint + self.ahead[1] * np.sign(setpoint)
         given = np.clip(wanted, -self.limit, self.limit)
-        self.sum = np.where(
-            (wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period
-        )
+        grows = (wanted == given) | ~(error * wanted > 0.0)
+        self.sum = np.where(grows, self.sum + error * self.period, self.sum)
         return given
 
 

@@ -103,19 +103,17 @@ def _write(
     model_header = template("model.h").substitute(
         token=token, time=TIME_REFERENCE, command=COMMAND_REFERENCE, load=LOAD_REFERENCE, first=FIRST_REFERENCE, most=most,
     )  # fmt: skip
+    description = model_description(source, version, identifier, token, f"hydro_env {__version__}")
     content: dict[str, bytes] = {
-        "modelDescription.xml": model_description(
-            source, version, identifier, token, f"hydro_env {__version__}"
-        ),
+        "modelDescription.xml": description,
         "sources/plant.h": source.header.encode(),
         "sources/plant.c": source.body.encode(),
         "sources/model.h": model_header.encode(),
         f"sources/fmi{version}.c": wrapper.encode(),
     }
     if version == 3:
-        content["sources/buildDescription.xml"] = (
-            template("buildDescription.xml").substitute(identifier=identifier).encode()
-        )
+        build = template("buildDescription.xml").substitute(identifier=identifier)
+        content["sources/buildDescription.xml"] = build.encode()
     binaries = [name for name in compilers if PLATFORMS[name][version - 1]]
     with tempfile.TemporaryDirectory() as room:
         for name, text in content.items():

@@ -10,27 +10,15 @@ A new effect of the package is one entry in the file of its port, where `effect.
 law stands in `practice.reference`, its test in tests/plant/test_effects.py.
 """
 
-from . import (
-    coil,
-    driver,
-    flow,
-    fluid,
-    force,
-    form_corrections,
-    line,
-    load,
-    losses,
-    motor,
-    opening,
-    sensor,
-    supply,
-)
+from importlib import import_module
+
+from . import form_corrections
 from .effect import CATALOGUE, PORTS, Effect, register, separating_experiment
 
 __all__ = ["BUILT_IN", "CATALOGUE", "PORTS", "Effect", "separating_experiment"]
 
-for _file in (driver, coil, force, opening, flow, supply, line, motor, load, fluid, sensor, losses):
-    for _effect in _file.EFFECTS:
+for _file in (*PORTS, "losses"):
+    for _effect in import_module(f"{__name__}.{_file}").EFFECTS:
         register(_effect)
 
 #: The effects that ship with the package; any other one is a user's (see `register` and `user_files`).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import Parameter, assumed
 from .effect import Effect, State
 
 
@@ -26,8 +26,7 @@ COIL_HEATING = Effect(
     parameters=(
         Parameter("rise", "1", 0.0, low=0.0, high=0.5, typical=0.25,
             note="relative rise of R at rated power", source="0.39 %/K over up to 130 K"),
-        Parameter("time_constant", "s", 300.0, low=2.0, high=1200.0, log=True, role="time_constant",
-            note="thermal time constant", source="assumed"),
+        assumed("time_constant", "s", 300.0, low=2.0, high=1200.0, log=True, role="time_constant", note="thermal time constant"),
     ),
     laws={"resistance": _heating_resistance},
     states=(State("heat", _heating_rate, scale=0.1),),

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
-from ..parameters import Parameter
+from ..parameters import Parameter, assumed
 from ..vector_math import clip
 from .effect import Effect, State
 
-COMMAND_DELAY = Effect(
+_effect = partial(Effect, port="driver")
+
+COMMAND_DELAY = _effect(
     name="command_delay",
-    port="driver",
     title="a dead time of the command",
     summary="the command reaches the coil late: u(t - delay)",
     signature="pure shift of the onset of every reaction",
@@ -38,9 +40,8 @@ def _follower_rate(follower, command, width):
     return (gap - clip(gap, -0.5 * width, 0.5 * width)) / 1e-4
 
 
-INPUT_HYSTERESIS = Effect(
+INPUT_HYSTERESIS = _effect(
     name="input_hysteresis",
-    port="driver",
     title="hysteresis at the valve's input",
     summary="play between command and valve: after a reversal the command first has to cross its width",
     signature="loop in flow over command whose width depends neither on rate nor on amplitude",
@@ -64,16 +65,15 @@ def _driver_saturation(voltage, voltage_limit):
     return clip(voltage, -voltage_limit, voltage_limit)
 
 
-DRIVER_SATURATION = Effect(
+DRIVER_SATURATION = _effect(
     name="driver_saturation",
-    port="driver",
     title="saturation of the driver",
     summary="the driver cannot give more than a limited voltage",
     signature="clipped current at large commands",
     source="supply voltage of valve amplifiers (24 V less their own drop)",
     parameters=(
-        Parameter("voltage_limit", "V", inf, low=2.0, high=73.0, typical=45.0, possible=(0.1, 1000.0),
-            note="limit of the driver's voltage", source="assumed"),
+        assumed("voltage_limit", "V", inf, low=2.0, high=73.0, typical=45.0, possible=(0.1, 1000.0),
+            note="limit of the driver's voltage"),
     ),
     laws={"voltage": _driver_saturation},
     indistinguishable_from=("spool_stop", "flow_saturation"),

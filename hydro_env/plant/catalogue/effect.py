@@ -22,13 +22,13 @@ A law that reads a function's own arguments only is what makes user effects poss
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import FunctionType
 from typing import Any
 
-from ...errors import InputError, suggestion
+from ...errors import check_known
 from ..parameters import PARAMETERS, Parameter
 
 #: Ports in the order in which the signal passes them.
@@ -181,33 +181,28 @@ def register(effect: Effect) -> Effect:
     ValueError if the name is taken, the port or a changed quantity is unknown, a named parameter is missing, or no parameter
     carries the effect's size.
     """
-    if effect.name in CATALOGUE:
-        raise ValueError(f"effect {effect.name!r} is in the catalogue already")
-    if effect.port not in PORTS:
-        raise ValueError(f"effect {effect.name!r}: port {effect.port!r} is none of {', '.join(PORTS)}")
-    for quantity in effect.laws:
-        if quantity not in QUANTITIES:
-            raise ValueError(
-                f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
-            )
-    own = {p.name for p in effect.parameters}
-    named = (
-        *effect.adds_to.values(),
-        *effect.limits.values(),
-        effect.delays_command,
-        *(p.not_below for p in effect.parameters),
-    )
-    for name in filter(None, named):
-        if name not in own:
-            raise ValueError(
-                f"effect {effect.name!r} has no parameter {name!r}, none of {', '.join(sorted(own))}"
-            )
-    if not any(p.carries_size for p in effect.parameters):
-        raise ValueError(
-            f"effect {effect.name!r}: one of its parameters must have a typical value besides its neutral one"
-        )
+    for wrong in _wrong(effect):
+        raise ValueError(f"effect {effect.name!r}{wrong}")
     CATALOGUE[effect.name] = effect
     return effect
+
+
+def _wrong(effect: Effect) -> Iterator[str]:
+    """Why an effect cannot be registered."""
+    if effect.name in CATALOGUE:
+        yield " is in the catalogue already"
+    if effect.port not in PORTS:
+        yield f": port {effect.port!r} is none of {', '.join(PORTS)}"
+    for quantity in effect.laws:
+        if quantity not in QUANTITIES:
+            yield f": a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
+    own = {p.name for p in effect.parameters}
+    named = [*effect.adds_to.values(), *effect.limits.values(), effect.delays_command]
+    for name in filter(None, [*named, *(p.not_below for p in effect.parameters)]):
+        if name not in own:
+            yield f" has no parameter {name!r}, none of {', '.join(sorted(own))}"
+    if not any(p.carries_size for p in effect.parameters):
+        yield ": one of its parameters must have a typical value besides its neutral one"
 
 
 def unregister(name: str) -> None:
@@ -222,14 +217,11 @@ def separating_experiment(first: str, second: str) -> str:
 
 def parameter_of(name: str) -> Parameter:
     """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
-    if "." in name:
-        effect, own = name.split(".", 1)
-        if effect not in CATALOGUE:
-            raise InputError(f"unknown effect {effect!r}: {suggestion(effect, CATALOGUE)}")
-        known = {p.name: p for p in CATALOGUE[effect].parameters}
-        if own not in known:
-            raise InputError(f"effect {effect!r} has no parameter {own!r}: {suggestion(own, known)}")
-        return known[own]
-    if name not in PARAMETERS:
-        raise InputError(f"unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
-    return PARAMETERS[name]
+    effect, dot, own = name.partition(".")
+    if not dot:
+        check_known("unknown parameter", [name], PARAMETERS)
+        return PARAMETERS[name]
+    check_known("unknown effect", [effect], CATALOGUE)
+    known = {p.name: p for p in CATALOGUE[effect].parameters}
+    check_known(f"effect {effect!r} has no parameter", [own], known)
+    return known[own]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ..parameters import Parameter
+from ..parameters import assumed
 from ..vector_math import sign
 from .effect import Effect
 
@@ -26,8 +26,8 @@ PRESSURE_DEPENDENT_FLOW = Effect(
     signature="flow falls as load pressure rises",
     source="paper, (7), which it replaces by (8); Merritt 1967: sqrt((ps - sign(x) dp) / ps)",
     parameters=(
-        Parameter("supply_pressure", "Pa", inf, low=5e5, high=350e5, typical=100e5, log=True,
-            note="supply pressure at which no flow is left", source="assumed"),
+        assumed("supply_pressure", "Pa", inf, low=5e5, high=350e5, typical=100e5, log=True,
+            note="supply pressure at which no flow is left"),
     ),
     laws={"drive": _pressure_dependent_flow, "mean_line_pressure": _half_the_supply},
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import Parameter, assumed
 from ..vector_math import exp
 from .effect import Effect
 
@@ -31,8 +31,8 @@ VISCOSITY_DRIFT = Effect(
     parameters=(
         Parameter("change", "1", 0.0, low=-2.0, high=2.0, typical=-0.7,
             note="log of final over initial viscosity", source="20 K of warming halve the viscosity of HLP 46"),
-        Parameter("time_constant", "s", 100.0, low=3.0, high=3000.0, log=True, role="time_constant",
-            note="time constant of the warming", source="assumed"),
+        assumed("time_constant", "s", 100.0, low=3.0, high=3000.0, log=True, role="time_constant",
+            note="time constant of the warming"),
     ),
     laws={"leakage_coefficient": _drift_leakage, "viscous_friction": _drift_friction},
 )  # fmt: skip

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
-from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
+from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter, assumed
 from ..vector_math import positive, sign, tanh
 from .effect import Effect, State
+
+_effect = partial(Effect, port="force")
 
 
 def _hysteresis_force(force, amplitude, loop):
@@ -25,18 +28,16 @@ def _loop_rate(loop, current_rate, amplitude, width, alpha):
     return (current_rate - abs(current_rate) * loop) / turning_width(amplitude, width, alpha)
 
 
-MAGNETIC_HYSTERESIS = Effect(
+MAGNETIC_HYSTERESIS = _effect(
     name="magnetic_hysteresis",
-    port="force",
-    title="magnetic hysteresis",
     summary="rate-independent loop between current and magnetic force",
     signature="loop in flow over current whose width does not depend on the sweep rate",
     source="Bouc 1967, Wen 1976; Vaughan and Gamble 1996 for proportional solenoids",
     parameters=(
         Parameter("amplitude", "N", 0.0, low=0.0, high=2.0, typical=0.3, scaling=SPOOL_FORCE,
             note="half height of the loop", source="2-7 % of the rated force are usual"),
-        Parameter("width", "A", 0.03, low=0.01, high=0.2, log=True,
-            note="width of the loop; change of current that turns it, at least 2 amplitude/alpha", source="assumed"),
+        assumed("width", "A", 0.03, low=0.01, high=0.2, log=True,
+            note="width of the loop; change of current that turns it, at least 2 amplitude/alpha"),
     ),
     laws={"force": _hysteresis_force},
     states=(State("loop", _loop_rate, scale=0.1),),
@@ -48,18 +49,16 @@ MAGNETIC_HYSTERESIS = Effect(
 )  # fmt: skip
 
 
-SPOOL_STICTION = Effect(
+SPOOL_STICTION = _effect(
     name="spool_stiction",
-    port="force",
     title="sticking friction of the spool",
     summary="more Coulomb and static friction on the spool (dirt, gum, side load)",
     signature="stick and jump, threshold for small signals",
     source="Olsson et al. 1998; adds to Fc and Fs of the paper's LuGre model",
     parameters=(
-        Parameter("coulomb", "N", 0.0, low=0.0, high=2.0, typical=0.3, scaling=SPOOL_FORCE,
-            note="more Coulomb friction", source="assumed"),
-        Parameter("static", "N", 0.0, low=0.0, high=3.0, typical=0.6, scaling=SPOOL_FORCE, not_below="coulomb",
-            note="more static friction", source="assumed"),
+        assumed("coulomb", "N", 0.0, low=0.0, high=2.0, typical=0.3, scaling=SPOOL_FORCE, note="more Coulomb friction"),
+        assumed("static", "N", 0.0, low=0.0, high=3.0, typical=0.6, scaling=SPOOL_FORCE, not_below="coulomb",
+            note="more static friction"),
     ),
     adds_to={"Fc": "coulomb", "Fs": "static"},
     indistinguishable_from=("magnetic_hysteresis", "input_hysteresis"),
@@ -71,9 +70,8 @@ def _preload_force(force, spool, preload):
     return force - preload * tanh(spool * 5e4)
 
 
-SPRING_PRELOAD = Effect(
+SPRING_PRELOAD = _effect(
     name="spring_preload",
-    port="force",
     title="preloaded centring springs",
     summary="centring springs are preloaded: a force threshold before the spool leaves its centre",
     signature="threshold in current, none in opening",
@@ -91,9 +89,8 @@ def _flow_force(force, spool, pressure, coefficient, supply_pressure):
     return force - coefficient * spool * positive(supply_pressure - sign(spool) * pressure)
 
 
-FLOW_FORCE = Effect(
+FLOW_FORCE = _effect(
     name="flow_force",
-    port="force",
     title="flow force on the spool",
     summary="steady flow force, which closes the valve",
     signature="opening sags with the pressure drop over the valve",
@@ -107,9 +104,8 @@ FLOW_FORCE = Effect(
 )  # fmt: skip
 
 
-SPOOL_STOP = Effect(
+SPOOL_STOP = _effect(
     name="spool_stop",
-    port="force",
     title="an end stop within the spool's travel",
     summary="the spool meets a stop (a stroke limiter, a stuck spring, dirt) before the end of its travel",
     signature="flat top at large commands; spool clipped, current not",

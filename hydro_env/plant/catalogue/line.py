@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from math import inf
 
-from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
+from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter, assumed
 from ..vector_math import clip, positive, sign, sqrt
 from .effect import Effect, State
+
+_effect = partial(Effect, port="line")
 
 
 def _entrained_air(bulk_modulus, pressure, fraction):
@@ -15,9 +18,8 @@ def _entrained_air(bulk_modulus, pressure, fraction):
     return bulk_modulus / (1.0 + fraction * bulk_modulus * 101325.0 / (absolute * absolute))
 
 
-ENTRAINED_AIR = Effect(
+ENTRAINED_AIR = _effect(
     name="entrained_air",
-    port="line",
     title="air in the oil",
     summary="free air makes the fluid soft at low pressure",
     signature="slow first pressure rise",
@@ -35,16 +37,15 @@ def _line_loss(motor_pressure, displacement, speed, coefficient):
     return motor_pressure - coefficient * motor_flow * abs(motor_flow)
 
 
-LINE_LOSS = Effect(
+LINE_LOSS = _effect(
     name="line_loss",
-    port="line",
     title="pressure loss in the lines",
     summary="turbulent pressure loss between valve and motor",
     signature="loss only at high flow",
     source="Darcy-Weisbach, fittings; dp = c Q |Q|",
     parameters=(
-        Parameter("coefficient", "Pa s2/m6", 0.0, low=0.0, high=3e14, typical=4e13, scaling={"D": -2.0},
-            note="pressure loss per flow squared", source="assumed"),
+        assumed("coefficient", "Pa s2/m6", 0.0, low=0.0, high=3e14, typical=4e13, scaling={"D": -2.0},
+            note="pressure loss per flow squared"),
     ),
     laws={"motor_pressure": _line_loss},
     indistinguishable_from=("quadratic_drag",),
@@ -83,19 +84,18 @@ def _lift_rate(lift, pressure, way, relief_pressure, hysteresis, time_constant):
     return moves * (held - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
 
 
-CROSSPORT_RELIEF = Effect(
+CROSSPORT_RELIEF = _effect(
     name="crossport_relief",
-    port="line",
     title="opening of the cross-port relief valves",
     summary="relief valves between the ports open above their setting, with hysteresis and lag where they have them",
     signature="clipped pressure difference; with hysteresis it opens higher than it closes",
     source="override straight as in data sheets; ISO 6403, opening and reseating pressure; poppet with friction and damping, "
     "Merritt 1967, ch. 8",
     parameters=(
-        Parameter("relief_pressure", "Pa", inf, low=5e5, high=350e5, typical=15e5, log=True,
-            note="setting of the relief valves; midway between opening and reseating", source="assumed"),
-        Parameter("conductance", "m3/(s Pa)", 1e-9, low=1e-10, high=3e-9, log=True, scaling=MOTOR_SIZE,
-            note="slope of the open relief valves", source="assumed"),
+        assumed("relief_pressure", "Pa", inf, low=5e5, high=350e5, typical=15e5, log=True,
+            note="setting of the relief valves; midway between opening and reseating"),
+        assumed("conductance", "m3/(s Pa)", 1e-9, low=1e-10, high=3e-9, log=True, scaling=MOTOR_SIZE,
+            note="slope of the open relief valves"),
         Parameter("hysteresis", "1", 0.0, low=0.0, high=0.4,
             note="opening less reseating pressure, as a share of the setting",
             source="direct-operated valves reseat at 80 to 95 % of their opening pressure, worn or dirty ones lower"),
@@ -145,9 +145,8 @@ def _off_the_middle(mean_line_pressure, mean_pressure, supply_pressure):
     return mean_line_pressure + 0.5 * supply_pressure * mean_pressure
 
 
-BOTH_LINES = Effect(
+BOTH_LINES = _effect(
     name="lines",
-    port="line",
     title="pressures of both lines",
     summary="the mean pressure of both lines leaves the middle of the supply where they lose or gain oil",
     signature="mean of both line pressures; flow through the edges of the valve",
@@ -178,9 +177,8 @@ def _drained(mean_pressure, pressure, bulk_modulus, V, conductance, supply_press
     return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * line
 
 
-EXTERNAL_LEAKAGE = Effect(
+EXTERNAL_LEAKAGE = _effect(
     name="external_leakage",
-    port="line",
     title="a leak from a line to the tank",
     summary="one line loses oil to the tank, in proportion to its own pressure",
     signature="speed lost in both directions alike, most where the leaking line drives; the lines drain at rest",
@@ -216,9 +214,8 @@ def _filled(mean_pressure, pressure, bulk_modulus, V, conductance, opening_press
     return bulk_modulus / (2.0 * V * supply_pressure) * (conductance * (a + b))
 
 
-ANTI_CAVITATION = Effect(
+ANTI_CAVITATION = _effect(
     name="anti_cavitation",
-    port="line",
     title="anti-cavitation (make-up) check valves",
     summary="a line that the motor empties draws oil from the tank through a check valve, which opens gradually",
     signature="in a quick stop or under an overrunning load the drained line stays near tank pressure and load pressure "
@@ -250,16 +247,15 @@ def _side_pressure_rate(side_pressure, pressure, bulk_modulus, conductance, volu
     return bulk_modulus / volume * conductance * (pressure - side_pressure)
 
 
-LINE_VOLUME = Effect(
+LINE_VOLUME = _effect(
     name="line_volume",
-    port="line",
     title="a volume behind a throttle",
     summary="a long line, hose or vessel takes oil through a throttle and gives it back",
     signature="flow that is missing while the pressure rises and comes back as it falls, with memory",
     source="lumped line: capacity V / beta behind a laminar resistance, Merritt 1967, ch. 3",
     parameters=(
-        Parameter("conductance", "m3/(s Pa)", 0.0, low=0.0, high=1e-9, typical=1e-10, scaling=MOTOR_SIZE,
-            note="conductance of the throttle", source="assumed"),
+        assumed("conductance", "m3/(s Pa)", 0.0, low=0.0, high=1e-9, typical=1e-10, scaling=MOTOR_SIZE,
+            note="conductance of the throttle"),
         Parameter("volume", "m3", 1e-3, low=5e-4, high=3e-2, log=True, scaling=MOTOR_SIZE,
             note="volume behind it, of oil as stiff as the line's",
             source="assumed: 1 l; a hose or a gas-loaded vessel counts as many times its size"),
@@ -281,9 +277,8 @@ def _drained_alike(mean_pressure, pressure, bulk_modulus, V, conductance, supply
     return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * (a + b)
 
 
-CASE_DRAIN = Effect(
+CASE_DRAIN = _effect(
     name="case_drain",
-    port="line",
     title="a case drain of both lines",
     summary="both lines lose oil to the tank through the motor's case, each in proportion to its own pressure",
     signature="like internal leakage, and both lines stand below the middle of the supply, in either direction alike",

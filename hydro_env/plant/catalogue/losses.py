@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from ..parameters import MOTOR_SIZE, Parameter
+from ..parameters import MOTOR_SIZE, Parameter, assumed
 from ..vector_math import exp, sqrt, tanh
 from .effect import Effect
 
@@ -178,9 +178,7 @@ JEONG_LOSSES = _loss_model(
         Parameter("gap_growth", "1/Pa", 0.0, 0.0, 3e-7, "assumed", "relative widening of the gaps with pressure", 3e-8),
         _DRAG, _FRICTION, _CONSTANT,
         Parameter("stribeck", "1", 0.0, 0.0, 5.0, "assumed", "friction at standstill over friction at speed, less one", 1.0),
-        Parameter(
-            "stribeck_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which friction falls", log=True
-        ),
+        assumed("stribeck_speed", "rad/s", 10.0, low=1.0, high=100.0, note="speed over which friction falls", log=True),
         _HYDRODYNAMIC, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _jeong_leakage, "torque": _jeong_torque},
@@ -205,18 +203,16 @@ IVANTYSYN_LOSSES = _loss_model(
     signature="whatever the map shows",
     source="Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001 (POLYMOD); coefficients are fitted to each machine",
     parameters=(
-        Parameter("flow_pp", "m3/(s Pa2)", 0.0, 0.0, 1e-16, "assumed",
-                  "leakage with pressure squared", 3e-17, scaling=MOTOR_SIZE),
-        Parameter("flow_pw", "m3/(rad Pa)", 0.0, 0.0, 1e-12, "assumed",
-                  "leakage with pressure times speed", 3e-13, scaling=MOTOR_SIZE),
-        Parameter("torque_0", "N m", 0.0, 0.0, 0.5, "assumed",
-                  "constant friction", 0.1, scaling=MOTOR_SIZE),
-        Parameter("torque_p", "m3/rad", 0.0, 0.0, 2.7e-7, "assumed",
-                  "friction with pressure", 7e-8, scaling=MOTOR_SIZE),
-        Parameter("torque_ww", "N m s2/rad2", 0.0, 0.0, 2e-4, "assumed",
-                  "drag with speed squared", 5e-5, scaling=MOTOR_SIZE),
-        Parameter("torque_pw", "m3 s/rad2", 0.0, 0.0, 2e-9, "assumed",
-                  "drag with pressure times speed", 5e-10, scaling=MOTOR_SIZE),
+        assumed("flow_pp", "m3/(s Pa2)", 0.0, low=0.0, high=1e-16, typical=3e-17, scaling=MOTOR_SIZE,
+            note="leakage with pressure squared"),
+        assumed("flow_pw", "m3/(rad Pa)", 0.0, low=0.0, high=1e-12, typical=3e-13, scaling=MOTOR_SIZE,
+            note="leakage with pressure times speed"),
+        assumed("torque_0", "N m", 0.0, low=0.0, high=0.5, note="constant friction", typical=0.1, scaling=MOTOR_SIZE),
+        assumed("torque_p", "m3/rad", 0.0, low=0.0, high=2.7e-7, note="friction with pressure", typical=7e-8, scaling=MOTOR_SIZE),
+        assumed("torque_ww", "N m s2/rad2", 0.0, low=0.0, high=2e-4, typical=5e-5, scaling=MOTOR_SIZE,
+            note="drag with speed squared"),
+        assumed("torque_pw", "m3 s/rad2", 0.0, low=0.0, high=2e-9, typical=5e-10, scaling=MOTOR_SIZE,
+            note="drag with pressure times speed"),
     ),
     laws={"leakage": _ivantysyn_leakage, "torque": _ivantysyn_torque},
 )  # fmt: skip

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from ..parameters import MOTOR_SIZE, Parameter
+from functools import partial
+
+from ..parameters import MOTOR_SIZE, Parameter, assumed
 from ..vector_math import cos, exp, tanh
 from .effect import Effect
+
+_effect = partial(Effect, port="motor")
 
 
 def _speed_dependent_leakage(leakage, speed, coefficient):
     return leakage + coefficient * speed
 
 
-SPEED_DEPENDENT_LEAKAGE = Effect(
+SPEED_DEPENDENT_LEAKAGE = _effect(
     name="speed_dependent_leakage",
-    port="motor",
     title="leakage that grows with speed",
     summary="leakage that grows with speed (filling losses, churning)",
     signature="speed loss at no load, seen in the flow balance",
@@ -31,9 +34,8 @@ def _motor_coulomb_friction(torque, speed, coulomb, static, stribeck_speed):
     return torque - (coulomb + (static - coulomb) * exp(-slip * slip)) * tanh(speed * 10.0)
 
 
-MOTOR_COULOMB_FRICTION = Effect(
+MOTOR_COULOMB_FRICTION = _effect(
     name="motor_coulomb_friction",
-    port="motor",
     title="dry friction of the motor",
     summary="dry friction of the motor with a Stribeck peak, smooth within 0.1 rad/s",
     signature="step of torque with the sign of the speed, sticking at reversal",
@@ -41,9 +43,9 @@ MOTOR_COULOMB_FRICTION = Effect(
     parameters=(
         Parameter("coulomb", "N m", 0.0, low=0.0, high=2.0, typical=0.3, scaling=MOTOR_SIZE,
             note="Coulomb friction", source="3-10 % of the nominal torque are usual"),
-        Parameter("static", "N m", 0.0, low=0.0, high=3.0, typical=0.4, scaling=MOTOR_SIZE, not_below="coulomb",
-            note="static friction", source="assumed"),
-        Parameter("stribeck_speed", "rad/s", 3.0, low=0.2, high=20.0, log=True, note="Stribeck speed", source="assumed"),
+        assumed("static", "N m", 0.0, low=0.0, high=3.0, typical=0.4, scaling=MOTOR_SIZE, not_below="coulomb",
+            note="static friction"),
+        assumed("stribeck_speed", "rad/s", 3.0, low=0.2, high=20.0, log=True, note="Stribeck speed"),
     ),
     laws={"torque": _motor_coulomb_friction},
 )  # fmt: skip
@@ -53,16 +55,15 @@ def _quadratic_drag(torque, speed, coefficient):
     return torque - coefficient * speed * abs(speed)
 
 
-QUADRATIC_DRAG = Effect(
+QUADRATIC_DRAG = _effect(
     name="quadratic_drag",
-    port="motor",
     title="drag that grows with speed squared",
     summary="hydrodynamic torque loss growing with speed squared",
     signature="curvature of torque over speed",
     source="Schloesser 1961, hydrodynamic loss",
     parameters=(
-        Parameter("coefficient", "N m s2/rad2", 0.0, low=0.0, high=8e-4, typical=1e-4, scaling=MOTOR_SIZE,
-            note="torque per speed squared", source="assumed"),
+        assumed("coefficient", "N m s2/rad2", 0.0, low=0.0, high=8e-4, typical=1e-4, scaling=MOTOR_SIZE,
+            note="torque per speed squared"),
     ),
     laws={"torque": _quadratic_drag},
     indistinguishable_from=("line_loss",),
@@ -73,9 +74,8 @@ def _displacement_ripple(displacement, angle, amplitude, order):
     return displacement * (1.0 + amplitude * cos(order * angle))
 
 
-DISPLACEMENT_RIPPLE = Effect(
+DISPLACEMENT_RIPPLE = _effect(
     name="displacement_ripple",
-    port="motor",
     title="displacement ripple of the motor",
     summary="displacement varies with the shaft angle, in flow and in torque",
     signature="line at `order` times the shaft speed",

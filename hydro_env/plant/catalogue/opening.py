@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
-from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
+from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter, assumed
 from ..vector_math import clip, positive, sqrt
 from .effect import Effect
+
+_effect = partial(Effect, port="opening")
 
 
 def _null_offset(opening, offset):
     return opening + offset
 
 
-NULL_OFFSET = Effect(
+NULL_OFFSET = _effect(
     name="null_offset",
-    port="opening",
     title="an offset of the hydraulic null",
     summary="hydraulic centre beside the electrical one",
     signature="asymmetric onset, offset at zero command",
     source="ISO 10770-1, null bias",
     parameters=(
-        Parameter("offset", "m", 0.0, low=-1.5e-4, high=1.5e-4, typical=3e-5, scaling=SPOOL_TRAVEL,
-            note="opening at centred spool", source="assumed"),
+        assumed("offset", "m", 0.0, low=-1.5e-4, high=1.5e-4, typical=3e-5, scaling=SPOOL_TRAVEL,
+            note="opening at centred spool"),
     ),
     laws={"opening": _null_offset},
 )  # fmt: skip
@@ -32,9 +34,8 @@ def _dead_zone(opening, overlap_positive, overlap_negative):
     return opening - clip(opening, -overlap_negative, overlap_positive)
 
 
-DEAD_ZONE = Effect(
+DEAD_ZONE = _effect(
     name="dead_zone",
-    port="opening",
     title="spool overlap (dead zone)",
     summary="positive overlap: no flow until the spool has passed it, each direction with its own",
     signature="flat flow around zero, each direction its own width",
@@ -74,9 +75,8 @@ def _underlap_flow(flow, opening, drive, pressure, Kq, underlap_positive, underl
     return flow - way * Kq * positive(other) * back
 
 
-UNDERLAP = Effect(
+UNDERLAP = _effect(
     name="underlap",
-    port="opening",
     title="spool underlap (open centre)",
     summary="negative overlap: around the centre all edges are open, each direction with its own underlap",
     signature="twice the flow gain around zero; there the pressure yields to a load",
@@ -97,16 +97,15 @@ def _flow_saturation(opening, opening_limit):
     return clip(opening, -opening_limit, opening_limit)
 
 
-FLOW_SATURATION = Effect(
+FLOW_SATURATION = _effect(
     name="flow_saturation",
-    port="opening",
     title="saturation of the flow",
     summary="the opening stops growing although the spool moves on",
     signature="flat top at large commands",
     source="ISO 10770-1, flow saturation",
     parameters=(
-        Parameter("opening_limit", "m", inf, low=1e-4, high=8.6e-4, typical=3e-4, log=True, scaling=SPOOL_TRAVEL,
-            note="opening at which flow saturates", source="assumed"),
+        assumed("opening_limit", "m", inf, low=1e-4, high=8.6e-4, typical=3e-4, log=True, scaling=SPOOL_TRAVEL,
+            note="opening at which flow saturates"),
     ),
     laws={"opening": _flow_saturation},
     indistinguishable_from=("spool_stop", "driver_saturation"),
@@ -117,16 +116,15 @@ def _directional_gain(opening, ratio):
     return opening * (1.0 if opening > 0.0 else ratio)
 
 
-DIRECTIONAL_GAIN = Effect(
+DIRECTIONAL_GAIN = _effect(
     name="directional_gain",
-    port="opening",
     title="different flow gains of the two directions",
     summary="the negative direction has another flow gain than the positive one",
     signature="gain split by the sign of the command",
     source="ISO 10770-1, symmetry",
     parameters=(
-        Parameter("ratio", "1", 1.0, low=0.4, high=2.5, typical=0.75, log=True,
-            note="gain of the negative direction over the positive", source="assumed"),
+        assumed("ratio", "1", 1.0, low=0.4, high=2.5, typical=0.75, log=True,
+            note="gain of the negative direction over the positive"),
     ),
     laws={"opening": _directional_gain},
 )  # fmt: skip
@@ -138,16 +136,14 @@ def _flow_gain_nonlinearity(opening, curvature, alpha, u_rated, R, k):
     return opening * ((1.0 - curvature) + curvature * (share if share < 1.0 else 1.0))
 
 
-FLOW_GAIN_NONLINEARITY = Effect(
+FLOW_GAIN_NONLINEARITY = _effect(
     name="flow_gain_nonlinearity",
-    port="opening",
     title="a progressive flow gain",
     summary="progressive control edge: little gain at small openings",
     signature="residual over opening only",
     source="V-notches of proportional spools; ISO 10770-1, linearity",
     parameters=(
-        Parameter("curvature", "1", 0.0, low=-0.8, high=0.9, typical=0.5,
-            note="share of the gain that grows with the opening", source="assumed"),
+        assumed("curvature", "1", 0.0, low=-0.8, high=0.9, typical=0.5, note="share of the gain that grows with the opening"),
     ),
     laws={"opening": _flow_gain_nonlinearity},
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import assumed
 from .effect import Effect, State
 
 
@@ -33,10 +33,9 @@ SUPPLY_DROOP = Effect(
     signature="both motors slow down together; needs the other channel's flow",
     source="pump and accumulator characteristics, Backe 1992",
     parameters=(
-        Parameter("relative_drop", "1", 0.0, low=0.0, high=0.9, typical=0.5, per="m3/s",
-            note="relative drop at 49 l/min of both valves together; in proportion at other flows", source="assumed"),
-        Parameter("time_constant", "s", 0.1, low=0.002, high=5.0, log=True, role="time_constant",
-            note="memory of the supply", source="assumed"),
+        assumed("relative_drop", "1", 0.0, low=0.0, high=0.9, typical=0.5, per="m3/s",
+            note="relative drop at 49 l/min of both valves together; in proportion at other flows"),
+        assumed("time_constant", "s", 0.1, low=0.002, high=5.0, log=True, role="time_constant", note="memory of the supply"),
     ),
     laws={"drive": _supply_droop, "mean_line_pressure": _lower_lines},
     states=(State("droop", _droop_rate, scale=0.1),),

@@ -435,16 +435,13 @@ def _joined(parts: Iterable[list[str] | str]) -> Parts:
     return found
 
 
-def _placed(line: str, layout: Layout) -> str:
-    """A statement with its cells in the place of `@name`."""
-    return re.sub(r"@(\w+)", lambda cell: layout.cell(cell[1]), line)
-
-
 def _sweep(layout: Layout, name: str, parts: Parts) -> str:
     """A sweep as a function: loops over all lanes of a block. Steps are attempted on lanes with time to go alone."""
-    texts: Parts = [
-        part if isinstance(part, str) else [_placed(line, layout) for line in part] for part in _joined(parts)
-    ]
+
+    def placed(line: str) -> str:
+        return re.sub(r"@(\w+)", lambda cell: layout.cell(cell[1]), line)
+
+    texts: Parts = [part if isinstance(part, str) else list(map(placed, part)) for part in _joined(parts)]
     made: dict[str, int] = {}  # the last loop that makes a name
     for n, part in enumerate(texts):
         if isinstance(part, str):

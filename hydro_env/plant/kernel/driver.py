@@ -76,10 +76,12 @@ def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def
     from the beginning of this row, and equal commands are one: so what went before a reset changes no bit.
     """
     lanes, slots = 2 * at[HALF], ring.shape[0]
+    todo, row_left, fresh = at[TODO] * lanes, at[ROW_LEFT] * lanes, at[FRESH] * lanes
+    coupled = at[COUPLED] * lanes
     more = False
     for lane in range(lanes):
-        left = cells[at[ROW_LEFT] * lanes + lane]
-        if cells[at[TODO] * lanes + lane] <= 0.0 and left > 0.0:
+        left = cells[row_left + lane]
+        if cells[todo + lane] <= 0.0 and left > 0.0:
             now, wait = period - left, cells[at[DELAY] * lanes + lane]
             slot, begun, until, back = head, 0.0, period, 0
             while back < slots - 1 and begun + wait > now + 1e-6 * period:
@@ -87,22 +89,17 @@ def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def
                 if ring[before, lane] != ring[slot, lane]:
                     until = begun + wait
                 slot, begun, back = before, begun - lasted[before], back + 1
-            stretch = left if until >= (1.0 - 1e-6) * period else until - now
             cells[at[APPLIED] * lanes + lane] = ring[slot, lane]
-            cells[at[TODO] * lanes + lane] = stretch
-            cells[at[FRESH] * lanes + lane] = 1.0
+            cells[todo + lane] = left if until >= (1.0 - 1e-6) * period else until - now
+            cells[fresh + lane] = 1.0
             more = True
     for lane in range(lanes if more else 0):
         other = lane + at[HALF] if lane < at[HALF] else lane - at[HALF]
-        coupled = (
-            at[COUPLED] >= 0 and cells[at[COUPLED] * lanes + lane] + cells[at[COUPLED] * lanes + other] > 0.0
-        )
-        if coupled and cells[at[TODO] * lanes + other] < cells[at[TODO] * lanes + lane]:
-            cells[at[TODO] * lanes + lane] = cells[
-                at[TODO] * lanes + other
-            ]  # both channels of a rig go equally far
-        if cells[at[FRESH] * lanes + lane] > 0.0:
-            cells[at[ROW_LEFT] * lanes + lane] -= cells[at[TODO] * lanes + lane]
+        tied = coupled >= 0 and cells[coupled + lane] + cells[coupled + other] > 0.0
+        if tied and cells[todo + other] < cells[todo + lane]:
+            cells[todo + lane] = cells[todo + other]  # both channels of a rig go equally far
+        if cells[fresh + lane] > 0.0:
+            cells[row_left + lane] -= cells[todo + lane]
     return more
 
 
@@ -120,9 +117,8 @@ def follow(at, cells, ring, lasted, b, slot, period, peak, grid):  # type: ignor
         going = sweep(at[ATTEMPT_STEP], cells, period)
         while points > 0 and sweep(at[PASS_POINT], cells, period / points) > 0:
             for lane in range(lanes):
-                grid[int(cells[at[POINT_PASSED] * lanes + lane]), lane] = cells[
-                    at[POINT_SPEED] * lanes + lane
-                ]
+                point = int(cells[at[POINT_PASSED] * lanes + lane])
+                grid[point, lane] = cells[at[POINT_SPEED] * lanes + lane]
         if ring is not None and at[DELAY] >= 0 and delay(at, cells, ring[b], lasted[b], slot, period):
             going = lanes
             sweep(at[EVALUATE], cells, period)
@@ -169,12 +165,10 @@ def advance(  # type: ignore[no-untyped-def]
                 first = channel * half
                 for lane in range(half):
                     rig = low + lane if low + lane < rigs else rigs - 1
-                    cells[at[COMMAND] * lanes + first + lane] = commands[
-                        t, rig if rig < commands.shape[1] else 0, channel
-                    ]
-                    cells[at[LOAD] * lanes + first + lane] = loads[
-                        t if t < loads.shape[0] else 0, rig if rig < loads.shape[1] else 0, channel
-                    ]
+                    sent, loaded = min(rig, commands.shape[1] - 1), min(rig, loads.shape[1] - 1)
+                    cells[at[COMMAND] * lanes + first + lane] = commands[t, sent, channel]
+                    load = loads[min(t, loads.shape[0] - 1), loaded, channel]
+                    cells[at[LOAD] * lanes + first + lane] = load
             fresh = sweep(at[START_ROW], cells, period)
             if ring is not None and delayed:
                 slot = (slot + 1) % ring.shape[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
 from functools import lru_cache
 from typing import Any
@@ -37,22 +37,17 @@ class LawError(ValueError):
 @lru_cache(maxsize=1024)
 def parse(function: Function) -> ast.FunctionDef:
     """The syntax tree of a plain function, with the lines of its file. ValueError if its source cannot be read."""
+    law = f"law {function.__name__!r}"
     try:
         source = textwrap.dedent(inspect.getsource(function))
     except OSError:
-        raise ValueError(
-            f"the source of law {function.__name__!r} cannot be read; define it in a file"
-        ) from None
+        raise ValueError(f"the source of {law} cannot be read; define it in a file") from None
     if not source.startswith("def "):
-        raise ValueError(
-            f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
-        )
+        raise ValueError(f"{law} must be a plain function (def), not a lambda or decorated")
     written = compile(source, "<law>", "exec", dont_inherit=True).co_consts[0]
     if (written.co_code, written.co_names) != (function.__code__.co_code, function.__code__.co_names):
         # The text would be kept on disk under the identity of the law that is loaded.
-        raise ValueError(
-            f"the file of law {function.__name__!r} was changed since it was loaded; start Python again"
-        )
+        raise ValueError(f"the file of {law} was changed since it was loaded; start Python again")
     node = ast.parse(source).body[0]
     assert isinstance(node, ast.FunctionDef)
     return ast.increment_lineno(node, function.__code__.co_firstlineno - 1)
@@ -98,10 +93,9 @@ def texts(functions: Mapping[str, Function]) -> list[str]:
     found: dict[str, str] = {}
     for name, function in functions.items():
         check_law(function)
-        for own, text in (
-            *((_name(each), _text(each, _name(each))) for each in called_by(function)),
-            (name, _text(function, name)),
-        ):
+        named = {each: _name(each) for each in called_by(function)} | {function: name}
+        for each, own in named.items():
+            text = _text(each, own)
             if found.setdefault(own, text) != text:
                 raise ValueError(
                     f"two functions that laws call are named {own!r}; give one of them another name"
@@ -120,14 +114,8 @@ def _name(helper: Function) -> str:
 def _text(function: Function, name: str) -> str:
     node = deepcopy(parse(function))
     node.name = name
-    for call in _calls(node):
-        helper = helpers_of(function).get(call.id)
-        call.id = call.id if helper is None else _name(helper)
-    return ast.unparse(node)
-
-
-def _calls(node: ast.AST) -> Iterator[ast.Name]:
-    """The names of the functions that are called."""
+    helpers = helpers_of(function)
     for each in ast.walk(node):
-        if isinstance(each, ast.Call) and isinstance(each.func, ast.Name):
-            yield each.func
+        if isinstance(each, ast.Call) and isinstance(each.func, ast.Name) and each.func.id in helpers:
+            each.func.id = _name(helpers[each.func.id])
+    return ast.unparse(node)

@@ -75,9 +75,8 @@ def _target() -> tuple[Any, ...]:
 
 def _register() -> int:
     """Bytes of this processor's widest vector register."""
-    return next(
-        (size for size, name in ((64, "+avx512f"), (32, "+avx")) if name in _target()[2].split(",")), 16
-    )
+    features = _target()[2].split(",")
+    return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
 def _machine() -> llvm.TargetMachine:

@@ -32,7 +32,7 @@ FOUND = ir.IntType(32)
 _COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
 _OPERATIONS = {
     "add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "and": "and_", "or": "or_", "not": "not_",
-    "neg": "fneg",
+    "neg": "fneg", "where": "select",
 }  # fmt: skip
 _INSTRUCTIONS = {"abs": "llvm.fabs", "sqrt": "llvm.sqrt", "floor": "llvm.floor", "fma": "llvm.fma"}
 
@@ -100,8 +100,6 @@ class _Emitter:
             return getattr(emit, _OPERATIONS[x.op])(*operands)
         if x.op in _COMPARISONS:
             return emit.fcmp_ordered(_COMPARISONS[x.op], *operands)
-        if x.op == "where":
-            return emit.select(*operands)
         if x.op in _INSTRUCTIONS:
             signature = ir.FunctionType(self._vector, [self._vector] * len(operands))
             return emit.call(self._declared(f"{_INSTRUCTIONS[x.op]}.{self._suffix}", signature), operands)
@@ -223,8 +221,6 @@ def llvm_text(text: str, single: bool, register: int) -> str:
             functions = {each.name: each for each in reader.functions.values()}
             sweep = ir.Function(module, ir.FunctionType(FOUND, [kind.as_pointer(), kind]), name)
             cells, h = sweep.args
-            emitter = _Emitter(
-                ir.IRBuilder(sweep.append_basic_block("entry")), functions, cells, name, register
-            )
-            emitter.sweep(functions[name].body, {"h": h})
+            builder = ir.IRBuilder(sweep.append_basic_block("entry"))
+            _Emitter(builder, functions, cells, name, register).sweep(functions[name].body, {"h": h})
     return str(module)

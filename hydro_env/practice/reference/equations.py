@@ -111,10 +111,7 @@ def _opening(p, spool):
     curvature = p.flow_gain_nonlinearity__curvature
     if curvature != 0.0:
         share = min(abs(x) * p.R * p.k / (p.alpha * p.u_rated), 1.0)
-        if p.different:
-            x *= 1.0 - curvature + curvature * share**p.form_notch_power
-        else:
-            x *= 1.0 - curvature + curvature * share
+        x *= 1.0 - curvature + curvature * (share**p.form_notch_power if p.different else share)
     return x
 
 
@@ -174,19 +171,17 @@ def _make_up(p, line):
 
 
 @compiled
+def _outflow(p, line, leak):
+    """Flow from a line with this leak to the tank, m3/s, less what it draws from there."""
+    drained = (max(leak, 0.0) + p.case_drain__conductance) * _leak(p, line)
+    return drained - p.anti_cavitation__conductance * _make_up(p, line)
+
+
+@compiled
 def _outflows(p, pressure, mean):
-    """Flows from both lines to the tank, m3/s, less what they draw from it."""
-    middle = 0.5 * p.lines_supply * (1.0 + mean)
-    a, b = middle + 0.5 * pressure, middle - 0.5 * pressure
-    leak, check, drain = (
-        p.external_leakage__conductance,
-        p.anti_cavitation__conductance,
-        p.case_drain__conductance,
-    )
-    return (
-        (max(leak, 0.0) + drain) * _leak(p, a) - check * _make_up(p, a),
-        (max(-leak, 0.0) + drain) * _leak(p, b) - check * _make_up(p, b),
-    )
+    """The same of both lines."""
+    middle, leak = 0.5 * p.lines_supply * (1.0 + mean), p.external_leakage__conductance
+    return _outflow(p, middle + 0.5 * pressure, leak), _outflow(p, middle - 0.5 * pressure, -leak)
 
 
 @compiled
@@ -280,9 +275,8 @@ def _spool_rates(p, y, dy, pressure):
     """Coil (6), spool (5) and all that acts on them."""
     at = p.at_states
     i, x, v = y[at], y[at + 1], y[at + 2]
-    voltage = _limited(
-        _played(p, y, dy), p.driver_saturation__voltage_limit, p.form_driver_knee if p.different else 0.0
-    )
+    knee = p.form_driver_knee if p.different else 0.0
+    voltage = _limited(_played(p, y, dy), p.driver_saturation__voltage_limit, knee)
     resistance = p.R
     if p.at_heat >= 0:
         heat = y[p.at_heat]
@@ -342,11 +336,8 @@ def _shaft_torque(p, y, dy, speed, angle, load):
             torque -= stiffness * z + damping * z_rate
         else:
             torque -= level * math.tanh(10.0 * speed)
-    drag = p.quadratic_drag__coefficient
-    if p.different:
-        torque -= drag * speed * math.hypot(speed, p.form_drag_transition)
-    else:
-        torque -= drag * speed * abs(speed)
+    rate = math.hypot(speed, p.form_drag_transition) if p.different else abs(speed)
+    torque -= p.quadratic_drag__coefficient * speed * rate
     torque -= p.eccentric_load__amplitude * math.sin(angle + p.eccentric_load__phase)
     if p.at_twist >= 0:
         twist, outer = y[p.at_twist], y[p.at_twist + 1]
@@ -354,11 +345,8 @@ def _shaft_torque(p, y, dy, speed, angle, load):
         passed = 0.0
         if wound > 0.0:
             side = 1.0 if twist > 0.0 else -1.0
-            damping = p.shaft_backlash__damping
-            if p.different:
-                damping *= wound / (wound + p.form_backlash_damping)
-            else:
-                damping *= min(50.0 * wound, 1.0)
+            grown = wound / (wound + p.form_backlash_damping) if p.different else min(50.0 * wound, 1.0)
+            damping = p.shaft_backlash__damping * grown
             passed = side * max(p.shaft_backlash__stiffness * wound + damping * (speed - outer) * side, 0.0)
         dy[p.at_twist] = speed - outer
         dy[p.at_twist + 1] = (passed - load) / p.shaft_backlash__inertia
@@ -445,17 +433,14 @@ def _relief_flow(p, y, dy, pressure):
     for j in range(2):
         way = 1.0 - 2.0 * j
         lift = y[p.at_lift + j]
-        least, most = (
-            _above(p, way * pressure, setting * (1.0 + half)), _above(p, way * pressure, setting * (1.0 - half))
-        )  # fmt: skip
+        least = _above(p, way * pressure, setting * (1.0 + half))
+        most = _above(p, way * pressure, setting * (1.0 - half))
         wanted = min(max(lift, least), most)
         slower = p.form_relief_closing if p.different and wanted < lift else 1.0
         dy[p.at_lift + j] = (wanted - lift) / max(lag * slower, 5e-5)
         share = abs(pressure) / setting
-        if p.different:
-            through = share ** (p.form_relief_growth if share > 1.0 else 0.5)
-        else:
-            through = math.sqrt(min(share, 1.0))
+        power = p.form_relief_growth if share > 1.0 else 0.5
+        through = share**power if p.different else math.sqrt(min(share, 1.0))
         total += math.copysign((lift if lag > 0.0 else wanted) * through, pressure)
     return p.crossport_relief__conductance * total
 

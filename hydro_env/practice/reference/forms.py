@@ -100,7 +100,6 @@ def checked(constants: Constants | None) -> Constants:
         return MIDDLE
     wrong = sorted({*constants} ^ {*MIDDLE})
     if wrong:
-        raise InputError(
-            f"form constants: {wrong[0]!r} is {'unknown' if wrong[0] in constants else 'missing'}"
-        )
+        problem = "unknown" if wrong[0] in constants else "missing"
+        raise InputError(f"form constants: {wrong[0]!r} is {problem}")
     return constants

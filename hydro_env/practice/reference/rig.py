@@ -117,15 +117,14 @@ class ReferenceRig:
         outputs(states, group.channels, *seen)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])
-            for name, values in zip(
-                REFERENCE_SIGNALS, (*states[:, at : at + len(STATES)].T, *seen[:, :, j]), strict=True
-            ):
+            every = *states[:, at : at + len(STATES)].T, *seen[:, :, j]
+            for name, values in zip(REFERENCE_SIGNALS, every, strict=True):
                 out[name][rows, c] = values
 
 
 def simulate_reference(
-    model: str | Path | Mapping[str, Any] | PlantModel, command_V: ArrayLike, load_Nm: ArrayLike | None, period: float, *,
-    forms: str = "same", constants: Constants | None = None, method: str = "LSODA", tolerance: float = 1e-7,
+    model: str | Path | Mapping[str, Any] | PlantModel, command_V: ArrayLike, load_Nm: ArrayLike | None, period: float,
+    **options: Any,
 ) -> dict[str, Array]:  # fmt: skip
     """Simulates a command sequence from rest: `command_V` and `load_Nm` (T, 2), each row held over `period` s.
 
@@ -138,16 +137,14 @@ def simulate_reference(
         raise ValueError(f"command_V {command.shape} and load_Nm {load.shape} must both be (T, 2)")
     if not (np.isfinite(command).all() and np.isfinite(load).all()):
         raise ValueError("a command or load is not finite")
-    rig = ReferenceRig(model, forms=forms, constants=constants, method=method, tolerance=tolerance)
+    rig = ReferenceRig(model, **options)
     length = command.shape[0]
     out = {name: np.empty((length, 2)) for name in REFERENCE_SIGNALS}
     for name, value in rig.signals().items():
         out[name][:1] = value
-    changes = np.flatnonzero(
-        (np.diff(command, axis=0) != 0.0).any(axis=1) | (np.diff(load, axis=0) != 0.0).any(axis=1)
-    )
-    starts = np.concatenate(([0], changes + 1))
-    ends = np.concatenate((changes + 1, [length - 1]))  # the last row's command acts only after the log
+    changes = 1 + np.flatnonzero(np.diff(np.hstack([command, load]), axis=0).any(axis=1))
+    starts = np.concatenate(([0], changes))
+    ends = np.concatenate((changes, [length - 1]))  # the last row's command acts only after the log
     for first, last in zip(starts, ends, strict=True):
         if last > first:
             part = rig.advance(command[first], load[first], (last - first) * period, int(last - first))

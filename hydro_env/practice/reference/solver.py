@@ -36,12 +36,13 @@ _MEMORIES: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]
 }
 #: Scales of the droop, which both channels share.
 _DROOP = ((0.1,), (0.1, 0.1))
-_EFFECTS = [CATALOGUE[name] for name in BUILT_IN]
+#: Parameters of every channel by their names in models; a record has them with two underscores for the dot.
+_PARAMETERS = (*PARAMETERS, *(f"{name}.{p.name}" for name in BUILT_IN for p in CATALOGUE[name].parameters))
 
 
 def _fields() -> list[tuple[Any, ...]]:
     """Fields of the record of a channel, see `equations`."""
-    numbers = [*PARAMETERS, *(f"{e.name}__{p.name}" for e in _EFFECTS for p in e.parameters)]
+    numbers = [name.replace(".", "__") for name in _PARAMETERS]
     numbers += [*(f"form_{c.name}" for c in CONSTANTS), "lines_supply", "command", "load"]
     stops = [(f"form_{name}", np.float64, (STOPS,)) for name in ("stop_travels", "stop_shares")]
     places = [f"at_{name}" for name in ("states", *_MEMORIES, "droop")]
@@ -65,11 +66,8 @@ class Group:
             return len(scales) - len(of_states) if of_states else -1
 
         for p, c in zip(self.channels, members, strict=True):
-            for name in PARAMETERS:
-                p[name] = model.value(name, c)
-            for effect in _EFFECTS:
-                for parameter in effect.parameters:
-                    p[f"{effect.name}__{parameter.name}"] = model.value(f"{effect.name}.{parameter.name}", c)
+            for name in _PARAMETERS:
+                p[name.replace(".", "__")] = model.value(name, c)
             for name, constant in constants.items():
                 p[f"form_{name}"] = constant
             p["different"] = different
@@ -104,9 +102,8 @@ class Group:
                 rates, (times[0], times[-1]), self.state, method=method, t_eval=times, args=(self.channels,), **limits
             )  # fmt: skip
             if not found.success:
-                raise RuntimeError(
-                    f"reference simulator: {found.message} at t = {found.t[-1] if found.t.size else times[0]}"
-                )
+                reached = found.t[-1] if found.t.size else times[0]
+                raise RuntimeError(f"reference simulator: {found.message} at t = {reached}")
             rows = found.y.T
         if not np.isfinite(rows[-1]).all():
             raise RuntimeError(f"reference simulator: a state is not finite after t = {times[0]:g} s")

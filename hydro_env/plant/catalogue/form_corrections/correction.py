@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import nan
 from typing import Any
 
 from ...parameters import SPOOL_FORCE, Parameter
@@ -14,22 +15,26 @@ FAMILY = "shape"
 NO_PHYSICS = "a correction of form, fitted; no physics"
 
 
-def amount(
-    name: str, unit: str, typical: float, note: str, low: float | None = None, scaling: Mapping[str, float] | None = None
+def fitted(
+    name: str, unit: str, nominal: float, low: float, high: float, note: str, typical: float = nan, **more: Any
 ) -> Parameter:  # fmt: skip
-    """A number of a correction: neutral at 0, up to four times `typical` either way."""
-    low = -4.0 * typical if low is None else low
-    return Parameter(name, unit, 0.0, low, 4.0 * typical, NO_PHYSICS, note, typical, scaling=scaling or {})
+    """A number of a correction."""
+    return Parameter(name, unit, nominal, low, high, NO_PHYSICS, note, typical, **more)
+
+
+def amount(name: str, unit: str, typical: float, note: str, least: float = -4.0, **more: Any) -> Parameter:
+    """One that is neutral at 0, from `least` to four times `typical`."""
+    return fitted(name, unit, 0.0, least * typical, 4.0 * typical, note, typical, **more)
 
 
 def repeated(name: str, unit: str, nominal: float, low: float, high: float, **more: Any) -> Parameter:
-    return Parameter(name, unit, nominal, low, high, NO_PHYSICS, "repeats what is corrected", **more)
+    return fitted(name, unit, nominal, low, high, "repeats what is corrected", **more)
 
 
-def taken(name: str, unit: str, low: float, typical: float) -> Parameter:
+def taken(name: str, low: float, typical: float) -> Parameter:
     """What a correction takes away of a force to which the effect has added it."""
     note = "repeats what is corrected, taken away"
-    return Parameter(name, unit, 0.0, low, 0.0, NO_PHYSICS, note, -typical, scaling=SPOOL_FORCE)
+    return fitted(name, "N", 0.0, low, 0.0, note, -typical, scaling=SPOOL_FORCE)
 
 
 def correction(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ...parameters import MOTOR_SIZE, Parameter
+from ...parameters import MOTOR_SIZE
 from ...vector_math import clip, cos, exp, positive, sign, sin, tanh
 from ..effect import State
 from ..fluid import drifted
@@ -12,7 +12,7 @@ from ..line import BOTH_LINES
 from ..load import SHAFT_BACKLASH
 from ..sensor import SENSOR_LAG
 from ..supply import SUPPLY_DROOP, steady_droop
-from .correction import NO_PHYSICS, amount, correction, repeated
+from .correction import amount, correction, fitted, repeated
 
 
 # --- supply -----------------------------------------------------------------------------------------------------------
@@ -32,7 +32,7 @@ def _second_rate(second, first, time_constant, share):
 
 SUPPLY_SHAPE = correction(
     "supply_shape", "supply", "the supply follows the flow with two lags of the same sum",
-    (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the memory in the second lag", 0.2),),
+    (fitted("share", "1", 0.0, 0.0, 0.5, "share of the memory in the second lag", 0.2),),
     {"drive": _late_drive},
     {"supply_droop": {}},
     (State("first", _first_droop, scale=0.1), State("second", _second_rate, scale=0.1)),
@@ -77,7 +77,7 @@ OVERRIDE_SHAPE = correction(
     "override_shape", "line", "relief valves crack gradually, and their slope changes with the excess",
     (
         amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
-        Parameter("steepening", "1/MPa", 0.0, -0.5, 2.0, NO_PHYSICS, "growth of the slope with the excess", 0.3),
+        fitted("steepening", "1/MPa", 0.0, -0.5, 2.0, "growth of the slope with the excess", 0.3),
         repeated("relief_pressure", "Pa", inf, 5e5, inf),
         repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, scaling=MOTOR_SIZE),
     ),
@@ -115,9 +115,7 @@ LEAK_SHAPE = correction(
     "leak_shape", "line", "the leak from a line as a curve over its pressure",
     (
         *(
-            Parameter(
-                f"leak_{n}", "1", 0.0, -0.8, 3.0, NO_PHYSICS, f"relative leak at {x} of half the supply pressure", 0.2
-            )
+            fitted(f"leak_{n}", "1", 0.0, -0.8, 3.0, f"relative leak at {x} of half the supply pressure", 0.2)
             for n, x in enumerate(("1/8", "1/4", "1/2"))
         ),
         repeated("conductance", "m3/(s Pa)", 0.0, -1e-10, 1e-10, scaling=MOTOR_SIZE),
@@ -170,7 +168,7 @@ REST_SHAPE = correction(
     "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
     (
         amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
-        Parameter("damping", "s", 0.002, 0.0, 0.02, NO_PHYSICS, "damping while it builds up, over the friction", 0.002),
+        fitted("damping", "s", 0.002, 0.0, 0.02, "damping while it builds up, over the friction", 0.002),
         repeated("coulomb", "N m", 0.0, 0.0, 2.0, scaling=MOTOR_SIZE),
         repeated("static", "N m", 0.0, 0.0, 3.0, scaling=MOTOR_SIZE),
         repeated("stribeck_speed", "rad/s", 3.0, 0.2, 20.0),
@@ -238,7 +236,7 @@ DRIFT_SHAPE = correction(
     "drift_shape", "fluid", "a second, faster or slower part of the drift",
     (
         amount("more", "1", 0.2, "log of final over initial viscosity, second part"),
-        Parameter("time_constant", "s", 3.0, 0.3, 3000.0, NO_PHYSICS, "time constant of the second part", 3.0, log=True),
+        fitted("time_constant", "s", 3.0, 0.3, 3000.0, "time constant of the second part", 3.0, log=True),
     ),
     {"leakage_coefficient": _second_drift_leakage, "viscous_friction": _second_drift_friction},
     {"viscosity_drift": {}},
@@ -258,7 +256,7 @@ def _first_lag(first, speed, time_constant, share):
 
 SENSOR_SHAPE = correction(
     "sensor_shape", "sensor", "the sensor follows with two lags of the same sum",
-    (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the lag in the second filter", 0.2),),
+    (fitted("share", "1", 0.0, 0.0, 0.5, "share of the lag in the second filter", 0.2),),
     {"measured_speed": _late_speed},
     {"sensor_lag": {}},
     (State("first", _first_lag, scale=10.0), State("second", _second_rate, scale=10.0)),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from math import inf
 
-from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
+from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...vector_math import bell, clip, positive, sign, sqrt, tanh
 from ..driver import INPUT_HYSTERESIS
 from ..effect import State
 from ..force import MAGNETIC_HYSTERESIS, turning_width
-from .correction import NO_PHYSICS, amount, correction, repeated, taken
+from .correction import amount, correction, fitted, repeated, taken
 
 
 # --- driver -----------------------------------------------------------------------------------------------------------
@@ -24,9 +24,7 @@ KNEE_SHAPE = correction(
     "knee_shape", "driver", "the driver gives less than is asked for even before its limit",
     (
         amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
-        Parameter(
-            "reach", "1", 0.15, 0.03, 0.6, NO_PHYSICS, "share of the limit, both ways, from which on it lacks", 0.15, log=True
-        ),
+        fitted("reach", "1", 0.15, 0.03, 0.6, "share of the limit, both ways, from which on it lacks", 0.15, log=True),
         repeated("voltage_limit", "V", 1e9, 1.0, 1e9),
     ),
     {"voltage": _knee},
@@ -55,7 +53,7 @@ def _spread_rate(play, command, part, spread, width):
 PLAY_SHAPE = correction(
     "play_shape", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
     (
-        Parameter("spread", "1", 0.0, 0.0, 1.0, NO_PHYSICS, "by how much these plays are narrower and wider", 0.4),
+        fitted("spread", "1", 0.0, 0.0, 1.0, "by how much these plays are narrower and wider", 0.4),
         repeated("width", "V", 0.0, 0.0, 1e3),
     ),
     {"voltage": _three_plays},
@@ -80,8 +78,7 @@ CORNER_SHAPE = correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
         # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
-        Parameter("rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
-            scaling=SPOOL_TRAVEL),
+        fitted("rounding", "m", 0.0, 0.0, 3e-4, "half the travel over which a corner is rounded", 1e-5, scaling=SPOOL_TRAVEL),
         repeated("turn", "1", 1.0, -1.0, 1.0),
         repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
         repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
@@ -115,9 +112,7 @@ OPENING_SHAPE = correction(
     "opening_shape", "opening", "gain of the opening as a curve over the logarithm of the opening",
     tuple(
         # A gain may be several times another; it cannot lose more than all.
-        Parameter(
-            f"gain_{n}", "1", 0.0, -0.8, 3.0, NO_PHYSICS, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2
-        )
+        fitted(f"gain_{n}", "1", 0.0, -0.8, 3.0, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2)
         for n in range(7)
     ),
     {"opening": _gain_curve},
@@ -142,10 +137,8 @@ ORIFICE_SHAPE = correction(
     "orifice_shape", "flow", "edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
     (
         # Up to some bar: sharp edges are turbulent from Reynolds numbers of 10 to 260 on (Merritt 1967, ch. 3).
-        Parameter(
-            "transition", "1", 0.0, 0.0, 0.3, NO_PHYSICS, "pressure drop over the supply's below which it is laminar", 0.03
-        ),
-        Parameter("laminar", "1", 0.0, 0.0, 0.8, NO_PHYSICS, "share of the whole drop that a laminar gap in series takes", 0.03),
+        fitted("transition", "1", 0.0, 0.0, 0.3, "pressure drop over the supply's below which it is laminar", 0.03),
+        fitted("laminar", "1", 0.0, 0.0, 0.8, "share of the whole drop that a laminar gap in series takes", 0.03),
     ),
     {"flow": _orifice},
     {"pressure_dependent_flow": {}},
@@ -161,7 +154,7 @@ def _preload_over(force, spool, travel, preload):
 PRELOAD_SHAPE = correction(
     "preload_shape", "force", "preload takes hold over less or more travel",
     (
-        Parameter("travel", "m", 2e-5, 1e-6, 2e-4, NO_PHYSICS, "travel over which the preload takes hold", 1e-5, log=True),
+        fitted("travel", "m", 2e-5, 1e-6, 2e-4, "travel over which the preload takes hold", 1e-5, log=True),
         repeated("preload", "N", 0.0, 0.0, 6.0, scaling=SPOOL_FORCE),
     ),
     {"force": _preload_over},
@@ -268,17 +261,13 @@ BRISTLE_SHAPE = correction(
     "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
         amount("damping", "1", 1.0, "damping of the second bristle over the first one's", 0.0),
-        Parameter("firm", "1", 0.5, 0.0, 0.95, NO_PHYSICS, "share of its limit from which on the second bristle gives way", 0.5),
-        Parameter(
-            "stiffness", "1", 1.0, 0.2, 5.0, NO_PHYSICS, "stiffness of the second bristle over the first one's", 1.0, log=True
-        ),
-        Parameter(
-            "stribeck", "1", 1.0, 0.2, 5.0, NO_PHYSICS, "Stribeck speed of the second bristle over the first one's", 1.0, log=True
-        ),
+        fitted("firm", "1", 0.5, 0.0, 0.95, "share of its limit from which on the second bristle gives way", 0.5),
+        fitted("stiffness", "1", 1.0, 0.2, 5.0, "stiffness of the second bristle over the first one's", 1.0, log=True),
+        fitted("stribeck", "1", 1.0, 0.2, 5.0, "Stribeck speed of the second bristle over the first one's", 1.0, log=True),
         repeated("coulomb", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
         repeated("static", "N", 0.0, 0.0, 3.0, scaling=SPOOL_FORCE),
-        taken("coulomb_taken", "N", -2.0, 0.3),
-        taken("static_taken", "N", -3.0, 0.6),
+        taken("coulomb_taken", -2.0, 0.3),
+        taken("static_taken", -3.0, 0.6),
     ),
     {"force": _second_bristle},
     {
