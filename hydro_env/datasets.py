@@ -28,7 +28,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import SIGNALS, Step, roll_out
 from hydro_env.errors import InputError, place_of, suggestion, to_install
 from hydro_env.plant import load_model, preset_names
-from hydro_env.streams import Component, Streams
+from hydro_env.streams import Component, Floats, Streams
 from hydro_env.tasks import OWN, SPLITS, load_scenario
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
 
 __all__ = ["CONTROLLERS", "RANDOM", "SPLITS_RECORDED", "Task", "check", "write"]
-
-Floats = NDArray[np.float64]
 
 #: The behaviour that draws every action evenly from the action space, as Gymnasium's `action_space.sample` does.
 RANDOM = "random"
@@ -78,11 +76,6 @@ class Task:
         name = re.sub(r"[^\w-]+", "_", Path(self.controller).name)
         above = "hydro_env" if self.scenario == DEFAULT_SCENARIO else f"hydro_env/{self.scenario}"
         return f"{above}/{name}-{self.split}-v0"
-
-    @property
-    def seeds(self) -> list[int]:
-        """The seed of each episode."""
-        return [self.seed + i for i in range(self.episodes)]
 
     @property
     def command(self) -> str:
@@ -153,8 +146,9 @@ def write(folder: Path, task: Task) -> Iterator[int]:
         }
     )
     cases: list[int] = []
+    seeds = range(task.seed, task.seed + task.episodes)
     for first in range(0, task.episodes, AT_ONCE):
-        buffers, drawn = _episodes(task, task.seeds[first : first + AT_ONCE], where)
+        buffers, drawn = _episodes(task, seeds[first : first + AT_ONCE], where)
         _make_sure_of_room(path, buffers)
         storage.update_episodes(buffers)
         storage.update_episode_metadata(drawn, range(first, first + len(buffers)))

@@ -19,22 +19,21 @@ environment's. An FMU has valves of its own, so there is nothing to draw: the sp
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, located, shown, suggestion
-from hydro_env.plant import PARAMETERS, Plant, PlantModel, load_model, preset_names
+from hydro_env.plant import PARAMETERS, PlantModel, load_model, preset_names
 from hydro_env.plant.plant import Lost, grid_points
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
@@ -113,11 +112,9 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
     check_file(file, "an FMU")
     if not trust:
         raise InputError(f"{file}: is a program: using it runs code from the file; with --trust it is used")
-    description = _description(str(file))
-    rated, start, like, links = (
-        _read(mapping) if mapping is not None else (None, {}, None, _own_names(description))
-    )
-    variables = {v.name: v for v in description.modelVariables}
+    variables = {v.name: v for v in _description(str(file)).modelVariables}
+    given = _Mapping(**_own_names(variables)) if mapping is None else _read(mapping)
+    links, start = _links(given, mapping), given.start
     for (name, channel), link in links.items():
         _check(file, variables, link.variable, f"{name} of channel {channel + 1}", _SIGNALS[name][1])
     for name in start:
@@ -127,12 +124,15 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             lacking = f"{name} of channel {channel + 1} is missing"
             raise InputError(f"{mapping or file}: {lacking}; name its variable in --mapping")
     own: list[Any] = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
-    one, two = own if rated is None else (rated, rated)
+    one, two = own if given.rated is None else (given.rated, given.rated)
     if one is None or two is None:
         raise InputError(f"{mapping or file}: rated is missing: the value of the commands at full command")
     rated_V = float(one), float(two)
     name, values = Path(file).stem, {"u_rated": rated_V}
-    rig = like or PlantModel(name)
+    rig = PlantModel(name)
+    if given.model:
+        like = given.model if given.model in preset_names() else Path(str(mapping)).parent / given.model
+        rig = load_model(like)
     rig = rig.with_values({"R": _coils(rig, rated_V)} | _own_values(variables, start) | values)
     return FmuModel(name, values, (), file=str(file), rig=rig, links=links, start=start)
 
@@ -168,11 +168,12 @@ def _check(
         raise InputError(f"{file}: {shown(name)} ({what}) is of type {kind}, expected Real or Float64")
 
 
-def _own_names(description: Any) -> dict[tuple[str, int], Link]:
-    """The names that `hydro-env export fmu` gives, as far as they are there."""
-    there = {v.name for v in description.modelVariables}
-    names = {(name, c): f"{name}_{c + 1}" for name in _SIGNALS for c in (0, 1)}
-    return {key: Link(name) for key, name in names.items() if name in there}
+def _own_names(variables: Collection[str]) -> dict[str, Any]:
+    """The content of a mapping file with the names that `hydro-env export fmu` gives, as far as they are there."""
+    return {
+        f"channel_{c}": {name: own for name in _SIGNALS if (own := f"{name}_{c}") in variables}
+        for c in (1, 2)
+    }
 
 
 # --- mapping files ----------------------------------------------------------------------------------------------------
@@ -212,18 +213,18 @@ class _Mapping(FileTable):
     channel_2: _Channel
 
 
-def _read(
-    path: str | Path,
-) -> tuple[float | None, dict[str, float], PlantModel | None, dict[tuple[str, int], Link]]:
-    """Rated command, start values, model and links of a mapping file."""
-    given = checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
+def _read(path: str | Path) -> _Mapping:
+    return checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
+
+
+def _links(given: _Mapping, path: str | Path | None) -> dict[tuple[str, int], Link]:
+    """What the variables of a mapping, of the file `path`, mean."""
     links = {}
     for channel, variables in enumerate((given.channel_1, given.channel_2)):
         for signal, variable in variables.items():
             with located(f"{path}: channel_{channel + 1}.{signal}"):
                 links[signal, channel] = variable.link(signal)
-    file = given.model if given.model in preset_names() else Path(path).parent / given.model
-    return given.rated, given.start, load_model(file) if given.model else None, links
+    return links
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------
@@ -276,10 +277,8 @@ class _Unit:
         if self._start:
             self._set([r for r, _ in self._start], [v for _, v in self._start])
         if self._old:
-            self._unit.setupExperiment(startTime=0.0)
-            self._unit.enterInitializationMode()
-        else:
-            self._unit.enterInitializationMode(startTime=0.0)
+            self._unit.setupExperiment()
+        self._unit.enterInitializationMode()
         self._unit.exitInitializationMode()
 
     def reset(self) -> None:
@@ -381,11 +380,11 @@ class FmuRigs:
             self._cells[: self.row_of("u_rated"), :, i] = 0.0
             cells["diverged"][:] = 1.0
 
-    def copy(self) -> Plant:
+    def copy(self) -> NoReturn:
         """InputError, as for `copy` and `pickle`."""
-        return copy.deepcopy(self)  # type: ignore[return-value]
+        self.__getstate__()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> NoReturn:
         """InputError for whatever copies or pickles the rigs: the FMU need not be able to copy itself."""
         raise InputError(
             f"{self.model.name}: a foreign FMU cannot be put on the valve bench or copied; a controller that goes by"

@@ -162,10 +162,8 @@ def removed_if_damaged(problem: BaseException) -> Path | None:
     """The folder, removed, if Numba raised this where it reads kept machine code: a file that is not whole, as after a power
     failure; None otherwise. The same work then compiles again."""
     folder = _folder()
-    place = os.path.join("numba", "core", "caching.py")
-    if folder is None or not any(
-        f.filename.endswith(place) for f in traceback.extract_tb(problem.__traceback__)
-    ):
+    place, frames = os.path.join("numba", "core", "caching.py"), traceback.extract_tb(problem.__traceback__)
+    if folder is None or not any(frame.filename.endswith(place) for frame in frames):
         return None
     shutil.rmtree(folder, ignore_errors=True)
     return folder

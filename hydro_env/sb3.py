@@ -58,8 +58,7 @@ class HydraulicSyncVecEnv(VecEnv):
         for row, options in enumerate(self._options):
             groups.setdefault(id(options) if options else 0, []).append(row)
         for rows in groups.values():
-            mask = np.isin(np.arange(self.num_envs), rows)
-            options = {**self._options[rows[0]], "reset_mask": mask}
+            options = {**self._options[rows[0]], "reset_mask": np.isin(np.arange(self.num_envs), rows)}
             observation, info = self.batch.reset(seed=seeds, options=options)  # of all rows
             for row in rows:
                 self.reset_infos[row] = row_of(info, row)

@@ -37,16 +37,13 @@ class HelpfulCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Writes arguments and groups of options."""
-        groups: dict[str, list[tuple[str, str]]] = {
-            name: [] for name in ("Arguments", *lists("headings.yaml"), "Help")
-        }
-        headings = {
-            option: heading for heading, options in lists("headings.yaml").items() for option in options
-        }
+        headings = lists("headings.yaml")
+        heading_of = {option: heading for heading, options in headings.items() for option in options}
+        groups: dict[str, list[Any]] = {name: [] for name in ("Arguments", *headings, "Help")}
         for parameter in self.get_params(ctx):
-            if (record := parameter.get_help_record(ctx)) is not None:
+            if record := parameter.get_help_record(ctx):
                 argument = parameter.param_type_name == "argument"
-                heading = "Arguments" if argument else headings.get(str(parameter.name), "Help")
+                heading = "Arguments" if argument else heading_of.get(str(parameter.name), "Help")
                 groups[heading].append(record)
         for heading, records in groups.items():
             if records:

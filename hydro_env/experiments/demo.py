@@ -103,8 +103,7 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
         gaps = svg(_gaps(finding["gap"]["sealed"]), "error on the held-out log before and after")
         links = sorted(f"reproduce/{path.name}" for path in (out / "reproduce").iterdir())
         published = {**paper.numbers, "picture": speeds, "links": links}
-        text = page(published, _board(scores), {**finding, "picture": gaps}, seconds)
-        write_text(out / "index.html", text)
+        write_text(out / "index.html", page(published, _board(scores), {**finding, "picture": gaps}, seconds))
     return result
 
 
@@ -131,17 +130,21 @@ def _short(value: float | None) -> str:
     """Three digits, as a reader wants them, and no zeros that say nothing."""
     if value is None or not np.isfinite(value):
         return "–"
-    if value == 0.0:
-        return "0"
-    digits = min(max(0, 2 - int(np.floor(np.log10(abs(value))))), 3)
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if float(text) == round(value) and value == round(value) else text
+    if value == round(value):
+        return f"{value:z.0f}"
+    return f"{value:.{min(max(0, 2 - int(np.floor(np.log10(abs(value))))), 3)}f}"
 
 
 # --- 2. the leaderboard -----------------------------------------------------------------------------------------------
 def _board(scores: dict[str, Any]) -> dict[str, Any]:
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
-    shown = _chosen(scores, cells)
+    at = {
+        name: [cells[name, scenario, metric]["iqm"] for scenario, metric, _ in (BOARD[1], BOARD[0])]
+        for name in scores["controllers"]
+        if (name, *BOARD[0][:2]) in cells
+    }
+    plain = [name for name in at if not privileged_information(scores, name)]
+    shown = _chosen(at, plain)
     agent = next(name for name in shown if _learned(name))
     titles = {PAPER: f"The paper's PID ({PAPER})", agent: f"The best agent ({agent})"}
     seeds = range(scores["seed"], scores["seed"] + scores["splits"][SPLIT])
@@ -158,7 +161,7 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
         "about": scores["about"], "cases": max(row["n"] for row in scores["rows"]),
         "controllers": len(scores["controllers"]), "columns": [heading for _, _, heading in BOARD], "rows": rows,
         "agent": agent, "seed": recorded["seed"], "animation": animation(recorded),
-        "picture": svg(_front(scores, cells, shown), alt),
+        "picture": svg(_front(at, plain, shown), alt),
     }  # fmt: skip
 
 
@@ -167,13 +170,11 @@ def _learned(name: str) -> bool:
     return file is not None and file.suffix == ".npz"
 
 
-def _chosen(scores: dict[str, Any], cells: dict[Any, Any]) -> dict[str, str]:
-    """The rows that the page shows, and why these."""
-    scored = [name for name in scores["controllers"] if (name, *BOARD[0][:2]) in cells]
-    peak = {name: cells[name, *BOARD[0][:2]]["iqm"] for name in scored}
-    plain = [name for name in scored if not privileged_information(scores, name)]
-    law = min((name for name in plain if not _learned(name)), key=peak.__getitem__)
-    agent = min((name for name in plain if _learned(name)), key=peak.__getitem__)
+def _chosen(at: dict[str, list[float]], plain: list[str]) -> dict[str, str]:
+    """The rows that the page shows, and why these; see `_front`."""
+    by_peak = sorted(plain, key=lambda name: at[name][1])
+    law = next(name for name in by_peak if not _learned(name))
+    agent = next(name for name in by_peak if _learned(name))
     return {
         PAPER: "Table III of the paper",
         TUNED: "the same law, gains found by search",
@@ -183,16 +184,10 @@ def _chosen(scores: dict[str, Any], cells: dict[Any, Any]) -> dict[str, str]:
     }
 
 
-def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str]) -> Any:
-    """Peak synchronisation error over tracking error of every controller on the set-point steps, the rows of the table by name,
-    and the Pareto front of those without privileged information."""
+def _front(at: dict[str, list[float]], plain: list[str], shown: dict[str, str]) -> Any:
+    """Peak synchronisation error over tracking error on the set-point steps, `at` [tracking error, peak] of every controller, the
+    rows of the table by name, and the Pareto front of those that are `plain`: without privileged information."""
     drawing, (axis,) = figure(height=3.4)
-    at = {
-        name: [cells[name, scenario, metric]["iqm"] for scenario, metric, _ in (BOARD[1], BOARD[0])]
-        for name in scores["controllers"]
-        if (name, *BOARD[0][:2]) in cells
-    }
-    plain = [name for name in at if not privileged_information(scores, name)]
     for name, (x, y) in at.items():
         colour = COLOURS[1] if _learned(name) else COLOURS[0]
         hollow = {} if name in plain else {"markerfacecolor": "none"}
@@ -226,14 +221,8 @@ def _on_a_rig(case: int) -> Any:
     drawing, (speeds, commands) = figure(2, height=1.7)
     time_s = trace.period * np.arange(len(trace.speed_rpm))
     speeds.plot(time_s, trace.setpoint_rpm[:, 0], color=COLOURS[4], linewidth=0.8)
+    reproduce.draw_speeds(speeds, time_s, trace.speed_rpm[:, 0], linewidth=1.1)
     for motor in (0, 1):
-        speeds.plot(
-            time_s,
-            trace.speed_rpm[:, 0, motor],
-            color=COLOURS[motor],
-            linewidth=1.1,
-            label=f"motor {motor + 1}",
-        )
         commands.step(
             time_s[1:], 100.0 * trace.command[:, 0, motor], color=COLOURS[motor], linewidth=0.9, where="pre"
         )

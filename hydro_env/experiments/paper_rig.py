@@ -7,42 +7,27 @@ Speeds are the true ones: the paper's simulation has no sensors.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.classical.pid import TABLE_III, Pid
 from hydro_env.plant import Plant, PlantModel
+from hydro_env.tasks import Scenario, load_scenario
 from hydro_env.units import RPM
-
-Floats = NDArray[np.float64]
 
 #: Sampling of the controller, s.
 PERIOD = 1e-4
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Set-point (rpm) and load (share of the nominal torque) as steps: rows (time in s, value)."""
-
-    duration: float
-    setpoint_rpm: Sequence[tuple[float, float]]
-    load_share: Sequence[tuple[float, float]] = ((0.0, 0.0),)
-
-    @staticmethod
-    def at(table: Sequence[tuple[float, float]], time: Floats) -> Floats:
-        """The value in force at each instant."""
-        rows = np.asarray(table)
-        return rows[np.searchsorted(rows[:, 0], time + 1e-9, side="right") - 1, 1]
-
-
 #: Paper, 4.1: set-point steps without load (Fig. 7).
-SETPOINT_STEPS = Profile(6.0, ((0.0, 600.0), (2.0, -200.0), (4.0, 600.0)))
-#: Paper, 4.2: 600 rpm, 10 % of the nominal load torque, from 2 s on all of it (Fig. 8).
-LOAD_STEP = Profile(4.0, ((0.0, 600.0),), ((0.0, 0.1), (2.0, 1.0)))
+SETPOINT_STEPS = load_scenario({"duration": 6, "setpoint_rpm": [[0, 600], [2, -200], [4, 600]]})
+#: Paper, 4.2: 600 rpm, 10 % of the nominal load torque, from 2 s on all of it (Fig. 8). Loads here are shares of that torque.
+LOAD_STEP = load_scenario({"duration": 4, "setpoint_rpm": [[0, 600]], "load_Nm": [[0, 0.1, 0.1], [2, 1, 1]]})
 
 
 @dataclass(frozen=True)
@@ -65,7 +50,7 @@ class Traces:
 
 
 def run_paper(
-    model: PlantModel, profile: Profile, *, values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1,
+    model: PlantModel, profile: Scenario, *, values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1,
     nominal_torque: ArrayLike = 0.0, peak_from: float = 0.0,
 ) -> Traces:  # fmt: skip
     """Runs the paper's closed loop for `num_rigs` variants of a model side by side.
@@ -88,9 +73,8 @@ def run_paper(
     steps = round(profile.duration / PERIOD)
     every = round(1e-3 / PERIOD)
     time: Floats = np.arange(steps, dtype=float) * PERIOD
-    setpoint = Profile.at(profile.setpoint_rpm, time)
+    setpoint, load = profile.course(time, None)
     torque = np.broadcast_to(np.asarray(nominal_torque, dtype=float), (num_rigs,))
-    load = Profile.at(profile.load_share, time)
     speeds, commands = (np.empty((-(-steps // every), num_rigs, 2)) for _ in range(2))
     peak = np.zeros(num_rigs)
     for n in range(steps):
@@ -100,13 +84,13 @@ def run_paper(
             speeds[n // every], commands[n // every] = speed, command
         if time[n] >= peak_from:
             np.maximum(peak, np.abs(speed[:, 0] - speed[:, 1]), out=peak)
-        plant.step(command, (load[n] * torque)[:, None], PERIOD)
+        plant.step(command, load[n] * torque[:, None], PERIOD)
     return Traces(time[::every], setpoint[::every], speeds, commands, peak)
 
 
-def equal_again_after(traces: Traces, profile: Profile, within_rpm: float) -> Floats:
+def equal_again_after(traces: Traces, profile: Scenario, within_rpm: float) -> Floats:
     """Time in s, (changes, N), from each change of the set-point until the difference stays within a band."""
-    changes = [t for t, _ in profile.setpoint_rpm] + [profile.duration]
+    changes = [0.0, *traces.time[1:][np.diff(traces.setpoint) != 0.0], profile.duration]
     times = []
     for start, end in itertools.pairwise(changes):
         rows = (traces.time >= start - 1e-9) & (traces.time < end - 1e-9)

@@ -13,17 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
+from hydro_env.controllers.base import Floats
 from hydro_env.experiments.paper_rig import LOAD_STEP, SETPOINT_STEPS, Traces, equal_again_after, run_paper
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, beside_results, figure, legend, png
 from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
-
-Floats = NDArray[np.float64]
 
 #: Largest speed differences that the paper reports: Fig. 7 (set-point steps) and Fig. 8 (load step), rpm.
 PUBLISHED_STEPS_RPM = 175.0
@@ -48,6 +46,11 @@ def _crossing(tried: Floats, reached: Floats, target: float) -> Calibration:
     return Calibration(value, tried.tolist(), reached.tolist())
 
 
+def _overlaps(values: Any) -> dict[str, Any]:
+    """Dead zones of both valves, the same both ways."""
+    return {"dead_zone.overlap_positive": values, "dead_zone.overlap_negative": values}
+
+
 def calibrate_dead_zone() -> Calibration:
     """Overlap (m) of valve V1, the same both ways, with which the paper's set-point steps give its peak difference.
 
@@ -55,8 +58,7 @@ def calibrate_dead_zone() -> Calibration:
     """
     overlap = np.linspace(0.0, 150e-6, 16)
     pairs = np.column_stack([overlap, np.zeros_like(overlap)])
-    values = {"dead_zone.overlap_positive": pairs, "dead_zone.overlap_negative": pairs}
-    traces = run_paper(load_model("paper"), SETPOINT_STEPS, values=values, num_rigs=overlap.size)
+    traces = run_paper(load_model("paper"), SETPOINT_STEPS, values=_overlaps(pairs), num_rigs=overlap.size)
     return _crossing(overlap, traces.peak, PUBLISHED_STEPS_RPM)
 
 
@@ -109,11 +111,7 @@ class Reproduction:
 
 def dead_zone_model(overlap: float) -> PlantModel:
     """The paper's rig with this overlap (m) on V1, both ways, and none on V2; rounded to 10 nm."""
-    overlap = round(overlap, 8)
-    return load_model("paper").with_values(
-        {"dead_zone.overlap_positive": (overlap, 0.0), "dead_zone.overlap_negative": (overlap, 0.0)},
-        name="paper_dead_zone",
-    )
+    return load_model("paper").with_values(_overlaps((round(overlap, 8), 0.0)), name="paper_dead_zone")
 
 
 def reproduce(progress: bool = True) -> Reproduction:
@@ -123,8 +121,7 @@ def reproduce(progress: bool = True) -> Reproduction:
         model = dead_zone_model(dead_zone.value)
         bar.update()
         overlap = model.value("dead_zone.overlap_positive", 0)
-        both = np.array([[0.0, 0.0], [overlap, 0.0]])
-        values = {"dead_zone.overlap_positive": both, "dead_zone.overlap_negative": both}
+        values = _overlaps([[0.0, 0.0], [overlap, 0.0]])
         steps = run_paper(load_model("paper"), SETPOINT_STEPS, values=values, num_rigs=2)
         bar.update()
         torque = calibrate_torque(model)
@@ -139,9 +136,8 @@ def sweep(model: PlantModel, seconds: float = 20.0, period: float = 1e-3) -> tup
     """Fig. 2's test: current (T, 2) in A and flow (T, 2) in m3/s while the command goes slowly 0, +, -, 0."""
     time = np.arange(round(seconds / period)) * period / seconds
     share = np.interp(time, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-    plant = Plant(model)
     command = share[:, None] * np.array(model.pair("u_rated"))
-    out = plant.run(command, None, period, ("current", "flow"))
+    out = Plant(model).run(command, None, period, ("current", "flow"))
     return out["current"][:, 0], out["flow"][:, 0]
 
 
@@ -196,7 +192,7 @@ def draw_steps(result: Reproduction) -> Any:
     rigs = (("the tables alone", COLOURS[4]), ("with the dead zone", COLOURS[3]))
     for rig, (axis, (label, colour)) in enumerate(zip(axes, rigs, strict=False)):
         axis.plot(time, result.steps.setpoint, color=COLOURS[4], linewidth=0.9, label="set-point")
-        _speeds(axis, time, result.steps.speed[:, rig])
+        draw_speeds(axis, time, result.steps.speed[:, rig])
         axis.set_title(f"Speeds, {label}", loc="left", fontsize=9.5)
         axis.set_ylabel("rpm")
         last.plot(time, result.steps.difference[:, rig], color=colour, label=label)
@@ -214,7 +210,7 @@ def draw_load(result: Reproduction) -> Any:
     """Fig. 8: speeds around the load step and their difference."""
     drawing, (speeds, gap) = figure(2, height=2.3)
     time, late = result.load.time, result.load.time >= 1.9
-    _speeds(speeds, time, result.load.speed[:, 0])
+    draw_speeds(speeds, time, result.load.speed[:, 0])
     speeds.set(ylabel="speed, rpm")
     label = f"simulated: {result.load.peak[0]:.0f} rpm"
     gap.plot(time[late], np.abs(result.load.difference[late, 0]), color=COLOURS[3], label=label)
@@ -226,10 +222,10 @@ def draw_load(result: Reproduction) -> Any:
     return drawing
 
 
-def _speeds(axis: Any, time: Floats, speed: Floats) -> None:
+def draw_speeds(axis: Any, time: Any, speed: Floats, **style: Any) -> None:
     """Lines of both motors; `speed` is (T, 2) in rpm."""
     for motor in (0, 1):
-        axis.plot(time, speed[:, motor], color=COLOURS[motor], label=f"motor {motor + 1}")
+        axis.plot(time, speed[:, motor], color=COLOURS[motor], label=f"motor {motor + 1}", **style)
 
 
 def draw_valves(result: Reproduction) -> Any:

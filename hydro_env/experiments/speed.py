@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,8 @@ ERROR_ROWS = 100
 Floats = NDArray[np.float64]
 
 
-def _rate(work: Callable[[], int], seconds: float) -> float:
-    """Units of work a second of processor time: the best of five stretches, after one that warms up.
+def _rate(work: Callable[[], object], units: int, seconds: float) -> float:
+    """Units of work a second of processor time, so many in a call: the best of five stretches, after one that warms up.
 
     All work here is done by one thread, so that on an idle machine this is time on the clock, and on a busy one it does
     not count what others take.
@@ -49,7 +50,8 @@ def _rate(work: Callable[[], int], seconds: float) -> float:
     for _ in range(5):
         done, start = 0, time.process_time()
         while (passed := time.process_time() - start) < seconds / 5:
-            done += work()
+            work()
+            done += units
         best = max(best, done / passed)
     return best
 
@@ -78,21 +80,20 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
     env.reset(seed=0)
     actions = commands("smooth", 500, 1, np.random.default_rng(0))[:, 0].astype(np.float32)
 
-    def steps() -> int:
+    def steps() -> None:
         env.reset(seed=0)
         for action in actions:
             env.step(action)
-        return len(actions)
 
     plant = Plant("paper_dead_zone")
     volts = plant.get("u_rated") * actions[:, None].astype(float)
 
-    def plant_steps() -> int:
+    def plant_steps() -> None:
         for command in volts:
             plant.step(command, 0.0, PERIOD)
-        return len(volts)
 
-    return {"env_steps_per_s": _rate(steps, seconds), "plant_steps_per_s": _rate(plant_steps, seconds)}
+    works = {"env_steps_per_s": steps, "plant_steps_per_s": plant_steps}
+    return {name: _rate(work, len(actions), seconds) for name, work in works.items()}
 
 
 def measure_batch(
@@ -107,13 +108,12 @@ def measure_batch(
     actions = commands(kind, rows, num_envs, np.random.default_rng(0)).astype(np.float32)
     envs.reset(seed=0)
 
-    def steps() -> int:
+    def steps() -> None:
         for action in actions:
             envs.step(action)
-        return rows * num_envs
 
     plant = Plant(model, num_envs, dtype=dtype)
-    rate = _rate(steps, seconds)
+    rate = _rate(steps, rows * num_envs, seconds)
     kernel, taken = _plant_rate(plant, plant.get("u_rated") * actions.astype(float), seconds)
     return {
         "num_envs": num_envs, "dtype": dtype, "threads": 1, "env_steps_per_s": rate, "plant_steps_per_s": kernel,
@@ -124,12 +124,8 @@ def measure_batch(
 def _plant_rate(plant: Plant, volts: Floats, seconds: float) -> tuple[float, float]:
     """Steps a second of a plant under these commands (rows, rigs, 2), summed over its rigs, and how many steps of the integrator
     a channel attempts in each, the mean over all."""
-
-    def steps() -> int:
-        plant.run(volts, None, PERIOD, (), 1)
-        return len(volts) * plant.num_rigs
-
-    rate, before = _rate(steps, seconds), plant.get("attempts")
+    steps = partial(plant.run, volts, None, PERIOD, (), 1)
+    rate, before = _rate(steps, len(volts) * plant.num_rigs, seconds), plant.get("attempts")
     steps()
     return rate, float((plant.get("attempts") - before).mean()) / len(volts)
 

@@ -95,9 +95,8 @@ class Slider:
 def sliders(effect: Effect, scales: tuple[Scales, Scales]) -> list[Slider]:
     """The sliders of an effect on a rig of these scales: one for each parameter and channel, or one for both of the rig's."""
     channels: tuple[int | None, ...] = (None,) if effect.scope == "rig" else (0, 1)
-    own = {channel: scales[channel or 0].effect(effect) for channel in channels}
     return [
-        Slider(effect.name, _possible(own[channel].parameter(p.name)), channel)
+        Slider(effect.name, _possible(scales[channel or 0].parameter(p)), channel)
         for p in effect.parameters
         for channel in channels
     ]

@@ -21,6 +21,8 @@ from hydro_env.errors import InputError, InputWarning, to_install
 
 #: Spawned: neither the threads of the server nor those of Numba survive a fork.
 _CONTEXT = multiprocessing.get_context("spawn")
+#: Logs, each a file or with `@FROM:TO` a part of one.
+Logs = Sequence[str | Path]
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,7 @@ class Jobs:
         self._cancelled, self.latest = False, Job()
         messages, writer = _CONTEXT.Pipe(duplex=False)
         task = {"diagnose": _diagnose, "inspect": _inspect}[what]
-        given = {"fit": [*map(str, fit)], "held_out": [*map(str, held_out)], "model": model, "out": work,
-                 "mapping": None if mapping is None else str(mapping)}  # fmt: skip
+        given = {"fit": fit, "held_out": held_out, "model": model, "mapping": mapping, "out": work}
         self._process = _CONTEXT.Process(target=_do, args=(task, given, writer), daemon=True)
         self._process.start()
         writer.close()  # so that the pipe ends with the process
@@ -149,7 +150,7 @@ def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Co
 
 
 def _diagnose(
-    say: Callable[..., None], fit: list[str], held_out: list[str], model: str, mapping: str | None, out: Path
+    say: Callable[..., None], fit: Logs, held_out: Logs, model: str, mapping: Path | None, out: Path
 ) -> dict[str, str]:
     from loky import cpu_count
 
@@ -173,7 +174,7 @@ def _diagnose(
     return {"verdict": found.verdict, "summary": found.summary()}
 
 
-def _in_two(fit: list[str], mapping: str | None) -> tuple[list[str], list[str]]:
+def _in_two(fit: Logs, mapping: Path | None) -> tuple[Logs, Logs]:
     """With no log held out: the last third of the last log, and the others with the rest of it."""
     from hydro_env.measured import load_mapping, read_log
 
@@ -183,7 +184,7 @@ def _in_two(fit: list[str], mapping: str | None) -> tuple[list[str], list[str]]:
     return [*fit[:-1], f"{fit[-1]}@{start:.6f}:{cut:.6f}"], [f"{fit[-1]}@{cut:.6f}:"]
 
 
-def _inspect(say: Callable[..., None], fit: list[str], mapping: str | None, **others: Any) -> dict[str, str]:
+def _inspect(say: Callable[..., None], fit: Logs, mapping: Path | None, **others: Any) -> dict[str, str]:
     from hydro_env.measured.inspect import shown
 
     return dict(zip(("text", "mapping"), shown(fit[0], mapping), strict=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import InputError
 from hydro_env.lab.elements import EVERY, Plots
 from hydro_env.lab.page import PICTURE, section
-from hydro_env.lab.session import SHOWN
+from hydro_env.lab.session import COLUMNS, SHOWN
 from hydro_env.live.log import Followed, newest_log
 from hydro_env.measured.mapping import contract_columns
 
@@ -69,9 +69,8 @@ class _View:
             self._log = Followed(path, tuple(contract_columns()), EVERY * SHOWN)
         self._log.look()
         events, age = self._log.events, time.time() - path.stat().st_mtime
-        state = str(events.get("state", "begins"))
         quiet = f"; no new row for {age:.0f} s" if age > QUIET else ""
-        self._state.text = f"{path.name}: {state}{quiet}"
+        self._state.text = f"{path.name}: {events.get('state', 'begins')}{quiet}"
         self._fault.text = str(events.get("cause", ""))
         rows = self._log.rows
         if len(rows):
@@ -85,7 +84,5 @@ class _View:
 def _past(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of a log as the plots take them."""
     at = {name: rows[:, n] for n, name in enumerate(contract_columns())}
-    one, two = at["speed_1_rpm"], at["speed_2_rpm"]
-    return np.column_stack(
-        [at["time_s"], at["setpoint_rpm"], one, two, one - two, at["command_1_V"], at["command_2_V"]]
-    )
+    at["difference_rpm"] = at["speed_1_rpm"] - at["speed_2_rpm"]
+    return np.column_stack([at[name] for name in COLUMNS])

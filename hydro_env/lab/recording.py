@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.envs.observation import Floats
 from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES
 from hydro_env.plant import Scales
 from hydro_env.practice.recorder import COLUMNS, SENSORS, columns_of, log_text
-
-Floats = NDArray[np.float64]
 
 #: Seconds after which a recording ends by itself.
 MAX_SECONDS = 120.0

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_env.envs.observation import FRAME, noise_levels, scales_on
+from hydro_env.envs.observation import FRAME, Floats, noise_levels, scales_on
 from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
 from hydro_env.plant import CATALOGUE, Plant, PlantModel, Scales, load_model, scales_of
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
 from hydro_env.units import BAR, RPM
-
-Floats = NDArray[np.float64]
 
 #: Control period, s, as in the benchmark.
 PERIOD = 0.01
@@ -105,9 +103,7 @@ class LiveRig:
 
         InputError for an unknown split or a number beyond its list.
         """
-        values: dict[str, Floats] = {}
-        if split != OWN:
-            values = draw_pairs(split, [number], model=self.model).values
+        values = {} if split == OWN else draw_pairs(split, [number], model=self.model).values
         for name in {*self._drawn, *values}:
             pair = values[name][0] if name in values else own_values(name, self.model)
             if name in self._sensor:
@@ -123,12 +119,8 @@ class LiveRig:
 
     def values(self) -> dict[str, tuple[float, float]]:
         """Every parameter of the effects offered, of both channels, SI."""
-        return {
-            name: self.value(name)
-            for effect in self.plant.effects
-            if effect in self._offered
-            for name in (f"{effect}.{p.name}" for p in CATALOGUE[effect].parameters)
-        }
+        names = (f"{effect}.{p.name}" for effect in self._offered for p in CATALOGUE[effect].parameters)
+        return {name: self.value(name) for name in names}
 
     def set(self, name: str, channel: int | None, value: float) -> None:
         """Sets a parameter of an effect on channel 0 or 1, or on both (None). InputError for a value that cannot be."""
@@ -178,14 +170,10 @@ class LiveRig:
         """Holds commands (2,), fractions of the rated ones and clipped to [-1, 1], and loads (2,) over a control period.
 
         With `record` returns the signals `RECORDED`, (SAMPLES, 2) each from the beginning of the period on, SI, else none.
-        ValueError if a command is not finite.
         """
-        wanted = np.asarray(action, dtype=float).reshape(1, 2)
-        if not np.isfinite(wanted).all():
-            raise ValueError("the command is not a finite number")
         # As actions are passed on to the environment.
         fraction = self._state["fraction"]
-        fraction[:] = np.clip(wanted, -1.0, 1.0).astype(np.float32)
+        fraction[:] = np.clip(np.asarray(action, dtype=float), -1.0, 1.0).astype(np.float32)
         command, load = fraction * self.rated, np.asarray(load_Nm, dtype=float).reshape(1, 2)
         rows: dict[str, Floats] = {}
         if record:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.controllers import CONTROLLERS, make_controller
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.rollout import inform
 from hydro_env.errors import InputError
 from hydro_env.lab.recording import MAX_SECONDS, Recording
@@ -19,8 +19,6 @@ from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
 from hydro_env.tasks import load_scenario
 from hydro_env.units import RPM
-
-Floats = NDArray[np.float64]
 
 #: The scenario in which the set-point is what the slider says.
 MANUAL = "manual"

@@ -8,19 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.controllers import Controller, make_controller
 from hydro_env.controllers.rollout import inform
-from hydro_env.envs.observation import FRAME, OBSERVATION, Measurements, encode
+from hydro_env.envs.observation import FRAME, OBSERVATION, Floats, Measurements, encode
 from hydro_env.errors import InputError
 from hydro_env.live.link import Link, Sample
 from hydro_env.plant import Plant, PlantModel, scales_of
 from hydro_env.practice.played import plans_of
 from hydro_env.reading import read_yaml
 from hydro_env.tasks import load_scenario
-
-Floats = NDArray[np.float64]
 
 #: Samples in which a controller shows which signals it reads.
 TRIED = 30
@@ -55,12 +52,10 @@ def controlled(
     `allowed`: largest command and largest change of it in a second, as shares of the rated one. InputError for a controller that
     reads what the rig lacks, or fails on a rig at rest.
     """
-    setpoint, cycles = None, None
+    scales, setpoint, cycles = scales_of(model), None, None
     if scenario is not None:
         named = scenario if not Path(scenario).suffix else read_yaml(scenario, "a scenario in YAML")
-        course = (
-            load_scenario(named, scales_of(model)).reference(link.cycle_s, np.random.default_rng(0)).setpoint
-        )
+        course = load_scenario(named, scales).reference(link.cycle_s, np.random.default_rng(0)).setpoint
         setpoint, cycles = (lambda n: float(course[n])), len(course)
     elif link.setpoint is None:
         raise InputError("no set-point: name `setpoint` in the link file, or give --scenario")
@@ -69,13 +64,12 @@ def controlled(
         return _told(make_controller(spec, trust=trust), link, model, allowed)
 
     controller, lacking = made(), _lacking(link)
-    if any((_tried(made(), link, model, n) != _tried(made(), link, model, None)).any() for n in lacking):
+    if any((_tried(made(), link, n) != _tried(made(), link, None)).any() for n in lacking):
         raise InputError(
             f"{spec} reads {', '.join(OBSERVATION[n] for n in lacking)}, which the link file lacks"
         )
-    _tried(controller, link, model, None)  # compiles what is compiled, before the rig waits for it
+    _tried(controller, link, None)  # compiles what is compiled, before the rig waits for it
     controller.reset(1, link.cycle_s)
-    scales = scales_of(model)
 
     def act(n: int, sample: Sample, command: Floats) -> Any:
         aim = sample.values["setpoint"] if setpoint is None else setpoint(n)
@@ -102,7 +96,7 @@ def _lacking(link: Link) -> list[int]:
     return [n for n in range(FRAME) if OBSERVATION[n] not in there]
 
 
-def _tried(controller: Any, link: Link, model: PlantModel, shaken: int | None) -> Floats:
+def _tried(controller: Any, link: Link, shaken: int | None) -> Floats:
     """Commands (TRIED, 2) for noise about rest with a set-point, place `shaken` of whose frames is disturbed."""
     rng, other = np.random.default_rng(0), np.random.default_rng(1)
     frames = 0.05 * rng.standard_normal((TRIED, 1, FRAME)).astype(np.float32)

@@ -32,7 +32,7 @@ are those of a rig log. A number that is absent or not finite, or an OPC UA stat
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -47,6 +47,8 @@ from hydro_env.validation import FileTable, Number, checked
 FIRST_LIMIT = 20.0
 #: How long a speed may repeat itself under command, s, unless the file says it.
 FROZEN_S = 0.5
+#: Signals of a channel that are read.
+_READ = tuple(signal for signal in CHANNEL_SIGNALS if signal != "command")
 
 
 class Sample(NamedTuple):
@@ -130,19 +132,18 @@ class Channel(FileTable):
 
     @model_validator(mode="after")
     def _units_fit(self) -> Channel:
-        for signal in CHANNEL_SIGNALS:
-            if signal != "command":
-                _check_unit(signal, getattr(self, signal))
+        _check_units(self, _READ)
         if self.speed.range is None:
             raise ValueError("speed.range is missing: the lowest and highest speed that the sensor can show")
         return self
 
 
-def _check_unit(signal: str, source: Input | None) -> None:
-    """ValueError for a unit of something else than the signal."""
-    wanted = quantity_of(signal, "motor")
-    if source is not None and (found := unit(source.unit).quantity) != wanted:
-        raise ValueError(f"{signal}: {source.unit} is a unit of {found}; use {USUAL_UNITS[wanted]}")
+def _check_units(table: FileTable, signals: Iterable[str]) -> None:
+    """ValueError for a unit of something else than what one of the signals of a table is."""
+    for signal in signals:
+        source, wanted = getattr(table, signal), quantity_of(signal, "motor")
+        if source is not None and (found := unit(source.unit).quantity) != wanted:
+            raise ValueError(f"{signal}: {source.unit} is a unit of {found}; use {USUAL_UNITS[wanted]}")
 
 
 class Link(FileTable):
@@ -180,8 +181,7 @@ class Link(FileTable):
             raise ValueError(f"address is {self.address!r}, should begin with opc.tcp://")
         if self.time is not None and unit(self.time.unit).quantity != "time":
             raise ValueError(f"time: {self.time.unit} is no unit of time; use s or ms")
-        for signal in RIG_SIGNALS:
-            _check_unit(signal, getattr(self, signal))
+        _check_units(self, RIG_SIGNALS)
         names = [*self.names, *(each.name for each in self.commands), *filter(None, [self.heartbeat])]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"the name {twice!r} stands for two things")
@@ -196,9 +196,7 @@ class Link(FileTable):
         """What is read, by "setpoint", "speed_1", ..."""
         found = {signal: getattr(self, signal) for signal in RIG_SIGNALS}
         for n, channel in enumerate((self.channel_1, self.channel_2), 1):
-            found |= {
-                f"{signal}_{n}": getattr(channel, signal) for signal in CHANNEL_SIGNALS if signal != "command"
-            }
+            found |= {f"{signal}_{n}": getattr(channel, signal) for signal in _READ}
         return {key: source for key, source in found.items() if source is not None}
 
     @property

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.controllers.base import Floats
 from hydro_env.files import to_json
 from hydro_env.measured.mapping import contract_columns
 from hydro_env.reading import parse_json
 from hydro_env.units import from_si
-
-Floats = NDArray[np.float64]
 
 
 class Log:

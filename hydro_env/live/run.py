@@ -138,8 +138,7 @@ class Run:
             supervisor.fail(time.monotonic(), f"the controller gave no command within {most:g} s")
         except Exception as problem:
             place = place_of(problem)
-            told = f"the controller failed: {problem!r}" + (f" ({place})" if place else "")
-            supervisor.fail(time.monotonic(), told)
+            supervisor.fail(time.monotonic(), f"the controller failed: {problem!r}{place and f' ({place})'}")
         else:
             supervisor.take(time.monotonic(), wanted)
 
@@ -178,9 +177,8 @@ class Run:
         supervisor, now = self.supervisor, time.monotonic()
         if supervisor.state is not self._shown:
             self._shown = supervisor.state
-            text = f"{supervisor.state}{': ' * bool(supervisor.cause)}{supervisor.cause}"
             self.log.event(state=supervisor.state, cause=supervisor.cause, after_s=round(now - self._born, 3))
-            self.told(text)
+            self.told(f"{supervisor.state}{': ' * bool(supervisor.cause)}{supervisor.cause}")
 
 
 class _Worker:

@@ -15,12 +15,10 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.controllers.base import Floats
 from hydro_env.errors import InputError, shown
 from hydro_env.live.link import Link, Sample
-
-Floats = NDArray[np.float64]
 
 #: Good samples before anything but zero is written, and how far their pace may be from the cycle's.
 START, PACE = 10, 0.3

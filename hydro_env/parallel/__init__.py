@@ -50,7 +50,6 @@ def run(
     InputError if the engine does not exist, Ray is not there or no cluster answers. An interruption is passed on
     when all processes are gone.
     """
-    check_engine(engine, jobs)
     missing = object()
     results: list[Any] = [missing if store is None else store.get(task, missing) for task in tasks]
     left = [place for place, result in enumerate(results) if result is missing]
@@ -73,13 +72,11 @@ def as_done(
 ) -> Generator[tuple[int, Any], None, None]:
     """Place and result of every task, as they get done. Close the iterator to stop the work before its end."""
     check_engine(engine, jobs)
-    if not tasks:
-        return (_ for _ in ())
-    if engine == "ray":
+    if engine == "ray" and tasks:
         from .ray_engine import on_ray
 
         return on_ray(tasks, function)
-    if engine == "local" and jobs > 1:
+    if engine == "local" and jobs > 1 and tasks:
         from .local import in_processes
 
         return in_processes(tasks, function, min(jobs, len(tasks)))
