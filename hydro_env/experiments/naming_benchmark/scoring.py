@@ -145,13 +145,16 @@ def table(scores: Mapping[str, Any]) -> str:
     head = [
         "method", "names right", "most probable name right",
         "channel right", "false alarms", "`unknown` right", "rigs with a false name",
-        "held-out error, times the noise", f"within {WITHIN:g}", "time, s", "questions, mean",
+        "held-out error, times the noise", f"within {WITHIN:g}", "time, s",
     ]  # fmt: skip
+    asked = [entry.get("questions", 0.0) for entry in scores["summary"]]
+    head += ["questions, mean"] * any(asked)
     text = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
-    for entry in scores["summary"]:
+    for entry, questions in zip(scores["summary"], asked, strict=True):
         within = f"{entry['within']['count']} of {entry['within']['of']}"
         cells = [f"`{entry['method']}`", *(_share(entry[what]) for what in _SHARES)]
-        cells += [_middle(entry["error"]), within, _middle(entry["seconds"]), f"{entry['questions']:.2g}"]
+        cells += [_middle(entry["error"]), within, _middle(entry["seconds"])]
+        cells += [f"{questions:.2g}"] * any(asked)
         text.append("| " + " | ".join(cells) + " |")
     text += ["", *_ahead(scores["summary"])]
     for method, found in scores["certainty"].items():
