@@ -49,7 +49,7 @@ def policy_of(**sizes):
     return RecurrentPolicy((16, 12, 8), KNOWN + NOTES)
 
 
-@pytest.mark.parametrize("name", ["gru", "gru_any", "gru_rig"])
+@pytest.mark.parametrize("name", ["gru", "gru_any", "gru_rig", "fine_tune"])
 def test_the_shipped_recipe_is_valid_and_small(name):
     settings = read_settings(ROOT / "configs" / f"{name}.yml")
     sizes = settings.network
@@ -284,6 +284,25 @@ def test_a_run_scores_saves_and_goes_on(tmp_path):
     ) as caught:
         train(settings, out, resume=True, bar=False)
     assert "\n" not in str(caught.value)
+
+
+def test_training_goes_on_from_a_policy(tmp_path):
+    """What is scored first is that policy; one of another network is refused in one line."""
+    settings = settings_of(tmp_path)
+    first = train(settings, tmp_path / "first", bar=False)
+    policy = tmp_path / "first" / "policy.npz"
+    run = train(
+        replace(settings, gradient=replace(settings.gradient, periods=0.0032)),
+        tmp_path / "on",
+        start=policy,
+        bar=False,
+    )
+    key = "max_speed_difference_rpm"
+    assert run.progress["curve"][0][key] == min(first.progress["curve"], key=lambda row: row["score"])[key]
+    assert [row["stage"] for row in run.progress["curve"]] == ["gradient"] * 2 and run.periods == 3200
+    with pytest.raises(InputError, match="is not the one of the training file") as refused:
+        train(settings, tmp_path / "other", start=ROOT / "hydro_env/controllers/policies/ppo.npz", bar=False)
+    assert "\n" not in str(refused.value) and not (tmp_path / "other" / "policy.npz").exists()
 
 
 def test_killed_and_resumed(tmp_path):
