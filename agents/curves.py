@@ -47,7 +47,7 @@ def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
 
 def _trained(path: Path) -> tuple[str, int]:
     """Algorithm and seed of a training file, of Stable-Baselines3 or of `agents.recurrent`."""
-    if "imitation" in read_yaml(path, "a training file in YAML"):
+    if "gradient" in read_yaml(path, "a training file in YAML"):
         return "gru", read_settings(path).training.seed
     training = read_config(path).training
     return training.algorithm, training.seed
