@@ -50,6 +50,7 @@ def run(
     InputError if the engine does not exist, Ray is not there or no cluster answers. An interruption is passed on
     when all processes are gone.
     """
+    check_engine(engine, jobs)  # before a progress bar or a folder appears
     missing = object()
     results: list[Any] = [missing if store is None else store.get(task, missing) for task in tasks]
     left = [place for place, result in enumerate(results) if result is missing]
