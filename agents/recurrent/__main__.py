@@ -2,7 +2,7 @@
 
 Two stages: it imitates the law (`imitation`), then it is improved by the gradient through the simulator
 (`simulator_gradient`). What is scored and exported is the running mean of the weights. With `--from POLICY` the second stage goes
-on from a trained policy, and with `--plant MODEL` it does so on a rig of one's own.
+on from a trained policy.
 
 DIR receives `policy.npz`, the policy with the best score on the split `val`; `curve.json`, the scores over control periods of
 single rigs and over time; `checkpoint.pt`, from which `--resume` goes on with new episodes; and `config.yml`, the file the run
@@ -223,18 +223,14 @@ def main() -> None:
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--from", dest="start", help="policy whose training goes on: gru_any, or a file")
-    parser.add_argument("--plant", help="preset or model file instead of the training file's")
     given = parser.parse_args()
     command = " ".join(["python -m agents.recurrent", *sys.argv[1:]])
 
     def run() -> None:
-        settings = read_settings(given.config)
-        if given.plant:
-            settings = replace(settings, env={**settings.env, "plant": given.plant})
         entry = CONTROLLERS.get(given.start)
         start = entry.file if entry is not None else given.start and Path(given.start)
         train(
-            settings, given.out,
+            read_settings(given.config), given.out,
             resume=given.resume, command=command, bar=not given.quiet, start=start,
         )  # fmt: skip
 
