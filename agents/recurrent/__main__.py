@@ -21,7 +21,6 @@ import json
 import platform
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from statistics import geometric_mean
 from typing import Any
@@ -66,7 +65,7 @@ class Run:
         self.mean.load_state_dict(self.policy.state_dict())
         self.progress: dict[str, Any] = {
             "stage": "gradient" if start else "imitation",
-            "done": 0, "seconds": 0.0, "cpu_seconds": 0.0, "best": float("inf"), "curve": []
+            "done": 0, "seconds": 0.0, "cpu_seconds": 0.0, "best": float("inf"), "curve": [], "before": 0
         }  # fmt: skip
         self.optimiser: dict[str, Any] | None = None
 
@@ -127,8 +126,7 @@ class Run:
     @property
     def periods(self) -> int:
         """Control periods of all stages so far."""
-        before = self.settings.imitation.periods * MILLION if self.progress["stage"] == "gradient" else 0
-        return int(before) + int(self.progress["done"])
+        return int(self.progress["before"]) + int(self.progress["done"])
 
 
 def train(
@@ -137,8 +135,6 @@ def train(
 ) -> Run:  # fmt: skip
     """Trains or goes on training; from a policy file `start` on without the first stage. InputError if the folder or the file do
     not fit what is asked for."""
-    if start is not None:
-        settings = replace(settings, imitation=replace(settings.imitation, periods=0.0))
     torch.set_num_threads(1)
     with alone_in(out), naming(out):
         run = Run(settings, out, command, start)
@@ -153,11 +149,11 @@ def train(
             write_bytes(out / "config.yml", settings.text.encode())
             if start is not None:
                 run.evaluate()  # what it begins with stays if nothing better is found
-        total = int((settings.imitation.periods + settings.gradient.periods) * MILLION)
+        total = int((settings.imitation.periods * (start is None) + settings.gradient.periods) * MILLION)
         with tqdm(total=total, initial=run.periods, unit="period", unit_scale=True, disable=not bar) as shown:
             for name in list(STAGES)[list(STAGES).index(run.progress["stage"]) :]:
                 if name != run.progress["stage"]:
-                    run.progress.update(stage=name, done=0)
+                    run.progress.update(stage=name, done=0, before=run.periods)
                     run.optimiser = None
                 _train_stage(run, name, shown)
         return run
@@ -228,7 +224,8 @@ def main() -> None:
 
     def run() -> None:
         entry = CONTROLLERS.get(given.start)
-        start = entry.file if entry is not None else given.start and Path(given.start)
+        named = entry.file if entry is not None else None
+        start = named or (Path(given.start) if given.start else None)
         train(
             read_settings(given.config), given.out,
             resume=given.resume, command=command, bar=not given.quiet, start=start,

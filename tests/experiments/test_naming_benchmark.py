@@ -238,7 +238,7 @@ def test_a_question_beyond_the_budget_is_refused(
 
 
 def test_seconds_are_limited(asked_set: Path, tmp_path: Path) -> None:
-    question(tmp_path, 1, seconds=40.0)
+    question(tmp_path, 1, seconds=20.0)  # and the last row lasts as long as the one before
     with pytest.raises(InputError, match="not so many seconds left, of 36 in all"):
         dialogue.play(asked_set, tmp_path)
 

@@ -93,9 +93,12 @@ def play_rig(folder: Path, own: Path) -> int:
     left, played = dict(about["budget"]), 0
     for number in range(1, len([*own.glob("question_*.csv")]) + 1):
         question, answer = (own / f"{name}_{number}.csv" for name in ("question", "answer"))
-        time = columns_of(question, ("time_s",))[:, 0]
+        lasting = np.diff(
+            columns_of(question, ("time_s",))[:, 0]
+        )  # of each row; the last lasts as long as the one before
+        seconds = round(float(lasting.sum() + lasting[-1:].sum()), 6)
         sensors = [name for name in _recorded(question.with_suffix(".json")) if name not in truth["record"]]
-        spent = {"questions": 1, "seconds": float(time[-1] - time[0]), "sensors": len(sensors)}
+        spent = {"questions": 1, "seconds": seconds, "sensors": len(sensors)}
         left = {key: left[key] - spent[key] for key in left}
         if short := [key for key, rest in left.items() if rest < 0]:
             raise InputError(
