@@ -93,9 +93,8 @@ def play_rig(folder: Path, own: Path) -> int:
     left, played = dict(about["budget"]), 0
     for number in range(1, len([*own.glob("question_*.csv")]) + 1):
         question, answer = (own / f"{name}_{number}.csv" for name in ("question", "answer"))
-        lasting = np.diff(
-            columns_of(question, ("time_s",))[:, 0]
-        )  # of each row; the last lasts as long as the one before
+        lasting = np.diff(columns_of(question, ("time_s",))[:, 0])
+        # The last row lasts as long as the one before.
         seconds = round(float(lasting.sum() + lasting[-1:].sum()), 6)
         sensors = [name for name in _recorded(question.with_suffix(".json")) if name not in truth["record"]]
         spent = {"questions": 1, "seconds": seconds, "sensors": len(sensors)}
