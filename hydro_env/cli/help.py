@@ -39,11 +39,11 @@ class HelpfulCommand(TyperCommand):
         """Writes arguments and groups of options."""
         headings = lists("headings.yaml")
         heading_of = {option: heading for heading, options in headings.items() for option in options}
-        groups: dict[str, list[Any]] = {name: [] for name in ("Arguments", *headings, "Help")}
+        groups: dict[str, list[Any]] = {name: [] for name in ("Arguments", "Task", *headings)}
         for parameter in self.get_params(ctx):
             if record := parameter.get_help_record(ctx):
                 argument = parameter.param_type_name == "argument"
-                heading = "Arguments" if argument else heading_of.get(str(parameter.name), "Help")
+                heading = "Arguments" if argument else heading_of.get(str(parameter.name), "Task")
                 groups[heading].append(record)
         for heading, records in groups.items():
             if records:

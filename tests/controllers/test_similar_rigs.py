@@ -89,3 +89,12 @@ def test_gains_of_ones_own_are_in_the_units_of_the_rig(rig: PlantModel) -> None:
         controller.drives(rig)
         controller.reset(1, 0.01)
     assert own.gains["Kp"] == pytest.approx(carried.gains["Kp"])
+
+
+def test_a_smaller_valve_before_the_same_motor_makes_the_pressures_smaller_too() -> None:
+    law = make_controller("adaptive_flow")
+    law.drives(load_model("valve_2"))
+    assert law.scales.flow < 0.8
+    assert law.scales.pressure == pytest.approx(
+        law.scales.flow
+    )  # else the motor leaks another share of its flow

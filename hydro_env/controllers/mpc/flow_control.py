@@ -18,7 +18,7 @@ from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.plant import PlantModel, Scales, scales_of
+from hydro_env.plant import PlantModel, Scales
 
 SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
@@ -58,7 +58,7 @@ class ProbingFlow(Controller):
         self._model = None if leaks(model) else model
 
     def units_for(self, model: PlantModel) -> Scales:
-        return scales_of(model) if leaks(model) else units_of(model)
+        return units_of(model)
 
     def start(self, measured: Measurements) -> None:
         self.law = self._begun(measured)
