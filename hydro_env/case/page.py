@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from ..diagnosis.report import wording as words
 from ..diagnosis.stages.naming import UNKNOWN
 from ..pages import COLOURS, figure, render, svg
 from .folder import CaseFile
+
+#: Of bars, where there are more hypotheses than colours.
+HATCHES = ("", "////", "....")
 
 
 def case_page(folder: Path, case: CaseFile) -> str:
@@ -43,12 +47,16 @@ def _probabilities(case: CaseFile) -> Any:
     """A bar for every place of every round, from the first one down."""
     bars = [(n, place) for n, r in enumerate(case.rounds) for place in r.open]
     names = list(dict.fromkeys(h for _, place in bars for h in place.hypotheses if h != UNKNOWN))
-    colours = {h: COLOURS[n % len(COLOURS)] for n, h in enumerate(names)} | {UNKNOWN: "#8a8f9855"}
-    drawing, (axis,) = figure(1, height=0.9 + 0.3 * len(bars))
+    looks = {
+        h: {"color": COLOURS[n % len(COLOURS)], "hatch": HATCHES[n // len(COLOURS) % len(HATCHES)]}
+        for n, h in enumerate(names)
+    }
+    looks[UNKNOWN] = {"color": "#8a8f9855"}
+    drawing, (axis,) = figure(1, height=0.6 + 0.3 * len(bars) + 0.25 * ceil(len(looks) / 3))
     for row, (_, place) in enumerate(bars):
         left = 0.0
         for name, share in place.hypotheses.items():
-            axis.barh(-row, share, left=left, height=0.7, color=colours[name])
+            axis.barh(-row, share, left=left, height=0.7, edgecolor="white", linewidth=0.0, **looks[name])
             left += share
     axis.set_yticks(
         [-n for n in range(len(bars))],
@@ -56,7 +64,7 @@ def _probabilities(case: CaseFile) -> Any:
     )
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("probability")
-    for name in colours:
-        axis.barh(0, 0.0, color=colours[name], label=words.plain(name))
-    axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.4, 1.0), frameon=False)
+    for name, look in looks.items():
+        axis.barh(0, 0.0, edgecolor="white", linewidth=0.0, label=words.plain(name), **look)
+    axis.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.4, 1.0), frameon=False)
     return svg(drawing, "probabilities after each round")
