@@ -254,11 +254,12 @@ class Group:
 
     def learn(self, weight: float) -> dict[str, float]:
         """Drives a window and adds the gradient of its cost to that of the network's weights, summed over rigs, so that bounds on
-        one rig's gradient do not depend on how many there are. Returns the mean costs of a period on rigs without a fault."""
+        one rig's gradient do not depend on how many there are. Returns the mean costs of a period on rigs without a fault,
+        or on all if each has one."""
         s = self.settings
         parts, notes = self._drive()
         costs = (parts * torch.tensor([1.0, weight, 1.0])).sum(1)
-        healthy = torch.from_numpy(self.rigs.healthy)
+        healthy = torch.from_numpy(self.rigs.healthy if self.rigs.healthy.any() else ~self.rigs.healthy)
         # Rigs on which little is possible, as with a faulty sensor, would drown the others.
         share = s.relative / (s.relative + self._usual)
         (s.window * ((share * costs).sum() + s.notes * notes * s.rigs)).backward()

@@ -249,6 +249,12 @@ def test_a_rig_that_nobody_can_steer_does_not_drown_the_others(tmp_path):
     assert 1.0 < found[100.0] / found[1.0] < 2.0
 
 
+def test_a_group_whose_every_rig_has_a_fault_keeps_its_weight(tmp_path):
+    faults = "groups: [{env: {mismatch: {base: faulted, parameters: {}, healthy: 0.0}}}]\ntraining:"
+    stage = GradientStage(settings_of(tmp_path, SHORT.replace("training:", faults)), policy_of(), 0)
+    assert all(np.isfinite(value) for _ in range(2) for value in stage.window().values())
+
+
 @pytest.mark.parametrize("law", [True, False])
 def test_imitation_lowers_the_error_of_the_commands(tmp_path, law):
     settings = settings_of(tmp_path)
