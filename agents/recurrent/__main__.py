@@ -149,7 +149,8 @@ def train(
             write_bytes(out / "config.yml", settings.text.encode())
             if start is not None:
                 run.evaluate()  # what it begins with stays if nothing better is found
-        total = int((settings.imitation.periods * (start is None) + settings.gradient.periods) * MILLION)
+        imitates = run.progress["stage"] == "imitation" or run.progress["before"] > 0
+        total = int((settings.imitation.periods * imitates + settings.gradient.periods) * MILLION)
         with tqdm(total=total, initial=run.periods, unit="period", unit_scale=True, disable=not bar) as shown:
             for name in list(STAGES)[list(STAGES).index(run.progress["stage"]) :]:
                 if name != run.progress["stage"]:
