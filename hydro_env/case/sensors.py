@@ -1,21 +1,20 @@
-"""Sensors that an experiment may ask for: how far each would move models apart, and whether that is worth its cost."""
+"""Sensors that an experiment may ask for: what each would show, and whether that is worth its cost."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..diagnosis import Diagnosis
-from ..diagnosis.experiment_design import Trial
+from ..diagnosis.experiment_design import Answers, Trial
 from ..diagnosis.report.wording import plain
-from ..diagnosis.stages.next_experiment import PARTED
+from ..diagnosis.stages.next_experiment import operations
 from ..errors import InputError, suggestion
 from ..limits import Limits
-from .hypotheses import Distances, weight_of
+from .hypotheses import Distances
 from .unseen import asked
 
 #: Sensors by the names of `hydro-env hide --record`, and the signals that they show.
@@ -29,6 +28,8 @@ SENSORS: dict[str, tuple[str, ...]] = {
 }
 #: A sensor for one experiment costs as much as this many experiments, unless the user says otherwise.
 COST = 1.0
+#: A sensor that costs something has to bring this much of the criterion, a natural logarithm: a tenth of what is open.
+WORTH = 0.1
 
 
 class Shown(NamedTuple):
@@ -56,46 +57,37 @@ def costs_of(words: Sequence[str]) -> dict[str, float]:
 def shown(found: Diagnosis, costs: Mapping[str, float]) -> Shown:
     """What the proposed experiment shows with the sensor that brings most beyond its cost, if one does."""
     design = None if found.next_experiment is None else found.next_experiment.design
-    if design is None or not design.apart:
+    if design is None:
         return Shown({})
-    fit = found.logs.fit
-    experiment = np.stack([design.command_V / np.array(fit.rig.model.pair("u_rated")), design.load], axis=-1)
-    with_each = apart_with(Trial(fit, asked(found)), experiment, costs)
-    return chosen(design.apart, with_each, costs, fit.settings.temper)
+    experiment = np.stack(
+        [design.command_V / np.array(found.rig.model.pair("u_rated")), design.load], axis=-1
+    )
+    trial = Trial(found.logs.fit, asked(found), operations(found))
+    return chosen(trial, trial.simulated(experiment[None]), costs)
 
 
-def apart_with(trial: Trial, experiment: NDArray[np.float64], names: Iterable[str]) -> dict[str, Distances]:
-    """How far models are apart in an experiment (T, 2, 2) with each sensor that the logs lack. The measure stays that without it:
-    means over more signals, but of the sum, since a sensor takes nothing away."""
-    had, apart = trial.fit.rig.signals, dict[str, Distances]()
-    for name in names:
-        if more := [signal for signal in SENSORS[name] if signal not in had]:
-            grown = float(np.sqrt(1.0 + len(more) / len(had)))
-            distances = replace(trial, more=more).distances(experiment)
-            apart[name] = {pair: grown * d for pair, d in distances.items()}
-    return apart
+def chosen(trial: Trial, answers: Answers, costs: Mapping[str, float]) -> Shown:
+    """The sensor that brings most beyond its cost, by the criterion that experiments are designed for.
 
-
-def chosen(
-    without: Distances, with_each: Mapping[str, Distances], costs: Mapping[str, float], temper: float
-) -> Shown:
-    """The sensor that brings most beyond its cost.
-
-    A sensor is worth as many further experiments as would part two models as far without it. It has to halve the weight of a
-    wrong one at least, and where commands part the two it is worth nothing.
+    What it costs is what that many more of the same experiment would bring without it.
     """
-
-    def worth(pair: tuple[str, str], with_it: float) -> float:
-        if without[pair] >= PARTED or weight_of(with_it, temper) > 0.5 * weight_of(without[pair], temper):
-            return 0.0
-        return float(min(with_it, PARTED) / max(without[pair], 1e-3)) ** 2 - 1.0
-
+    had, without = trial.fit.rig.signals, trial.distances(answers)
     best, most = Shown(without), 0.0
-    for name, apart in with_each.items():
-        pair = max(apart, key=lambda names: worth(names, apart[names]))
-        net = worth(pair, apart[pair]) - costs[name]
+    for name, cost in costs.items():
+        if not (more := [signal for signal in SENSORS[name] if signal not in had]):
+            continue
+        with_it, repeated = replace(trial, more=more), replace(trial, times=1.0 + cost)
+        net = float((with_it.scores(answers) - repeated.scores(answers)).sum()) - (WORTH if cost else 0.0)
         if net > most:
-            both = " and ".join(map(plain, pair))
-            text = f"with it {both} differ by {apart[pair]:.2g}, without by {without[pair]:.2g}"
-            best, most = Shown(apart, name, f"; log {plain(name)} as well: {text}"), net
+            apart = with_it.distances(answers)
+            best, most = Shown(apart, name, f"; log {plain(name)} as well{_compared(without, apart)}"), net
     return best
+
+
+def _compared(without: Distances, apart: Distances) -> str:
+    """What a sensor changes most, in words."""
+    if not apart:
+        return ": it shows more of what the held-out logs need"
+    pair = max(apart, key=lambda names: apart[names] / max(without[names], 1e-3))
+    one, other = map(plain, pair)
+    return f": with it {one} and {other} differ by {apart[pair]:.2g}, without by {without[pair]:.2g}"

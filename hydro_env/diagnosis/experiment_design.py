@@ -154,12 +154,13 @@ def commands_csv(command_V: Array, load: Array) -> str:
 Distances = dict[tuple[str, str], Array]
 
 
-def _distances(one: Array, other: Array) -> Array:
-    """Mean squares (experiments,) of the difference, less what the ensembles say could be made up for (Woodbury's identity)."""
+def _distances(one: Array, other: Array, times: float) -> Array:
+    """Mean squares (experiments,) of the difference, less what the ensembles say could be made up for (Woodbury's identity); all
+    is seen so many `times`."""
     found = np.empty(one.shape[1])
     for n in range(found.size):
         a, b = one[:, n], other[:, n]
-        known = 1.0 / np.sqrt(1.0 + FORM**2 * np.maximum(_power(a[0] - a[1]), _power(b[0] - b[1])))
+        known = np.sqrt(times / (1.0 + FORM**2 * np.maximum(_power(a[0] - a[1]), _power(b[0] - b[1]))))
         a, b = ((x * known).reshape(len(x), -1) for x in (a, b))
         difference = a[0] - b[0]
         open_ = np.concatenate([(x[2:] - x[0]) / np.sqrt(max(len(x) - 2, 1)) for x in (a, b)])
@@ -187,15 +188,21 @@ def _scale(fit: Fit, models: Collection[Estimate], channel: int, signal: str) ->
     return max(fit.noise[channel, signal], float(np.sqrt(min(powers))))
 
 
+#: What the requests of each model show, by channel (requests, n, signals, T), and whether a channel is allowed (n, 2).
+Answers = tuple[list[dict[int, Array]], Array]
+
+
 @dataclass(frozen=True)
 class Trial:
     """Experiments on the models: what each question's models answer, what each channel's estimate would still leave open of the
-    held-out logs, and which channels stay below the pressure limit. `more`: signals that are logged besides."""
+    held-out logs, and which channels stay below the pressure limit. `more`: signals that are logged besides; `times`: how often
+    the experiment is done."""
 
     fit: Fit
     questions: Sequence[Question]
     operations: Mapping[int, Operation] = field(default_factory=dict)
     more: Sequence[str] = ()
+    times: float = 1.0
 
     @property
     def signals(self) -> list[str]:
@@ -211,12 +218,13 @@ class Trial:
         draws = {p: (p.intervals or intervals_of(self.fit, p)).draws for p, _ in models}
         return [[p.request(), bare.request(), *(p.request(q) for q in draws[p])] for p, bare in models]
 
-    def run(self, experiments: Array) -> tuple[list[Distances], dict[int, Array], Array]:
-        """Simulates experiments (n, T, 2, 2): how far apart the models of each question are; by channel the mean squares (n,) by
-        which estimates would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
-        tables, allowed = self._simulate(experiments)
-        ensembles = iter(tables)
-        apart = []
+    def read(self, answers: Answers) -> tuple[list[Distances], dict[int, Array]]:
+        """How far apart the models of each question are: means over the signals that the logs have, but sums with `more`, since
+        a sensor takes nothing away. By channel the mean squares (n,) by which estimates would still be apart on the held-out
+        logs."""
+        places = [[*UNITS].index(signal) for signal in self.signals]
+        ensembles = ({c: v[:, :, places] for c, v in table.items()} for table in answers[0])
+        times, apart = self.times * len(self.signals) / len(self.fit.rig.signals), []
         for question in self.questions:
             own = dict(zip(question.models, ensembles, strict=False))
             # One of the models may be of the whole rig, another one of a channel alone.
@@ -224,14 +232,13 @@ class Trial:
             scales = {c: self._scales(question.models.values(), c) for c in shared}
             of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
             pairs = itertools.combinations(of, 2)
-            found = {(a, b): [_distances(of[a][c], of[b][c]) for c in shared] for a, b in pairs}
+            found = {(a, b): [_distances(of[a][c], of[b][c], times) for c in shared] for a, b in pairs}
             apart.append({pair: np.mean(squares, axis=0) for pair, squares in found.items()})
         left = {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)}
-        return apart, left, allowed
+        return apart, left
 
-    def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
-        """What the requests of each model show in the logged signals, by channel (requests, n, signals, T), and whether a channel
-        is allowed (n, 2)."""
+    def simulated(self, experiments: Array) -> Answers:
+        """What the models show in every signal in experiments (n, T, 2, 2)."""
         rig = self.fit.rig
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
@@ -246,8 +253,7 @@ class Trial:
                 peak = np.abs(values[:, pressure]).max(axis=-1)
                 # A comparison with NaN is false: what diverges is not allowed either.
                 allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
-        places = [[*UNITS].index(signal) for signal in self.signals]
-        each = ({c: v[:, places] for c, v in table.items()} for table in every)
+        each = iter(every)
         grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
         return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
@@ -263,27 +269,26 @@ class Trial:
         left = np.empty(table.shape[1])
         for n in range(left.size):
             whole, bare, *draws = seen[:, n]
-            known = 1.0 / np.sqrt(1.0 + FORM**2 * _power(whole - bare))
+            known = np.sqrt(self.times / (1.0 + FORM**2 * _power(whole - bare)))
             off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
 
-    def distances(self, experiment: Array) -> dict[tuple[str, str], float]:
-        """How far the models of each pair are apart in an experiment (T, 2, 2), RMS in units of what is not known."""
-        return {
-            pair: float(np.sqrt(d[0])) for each in self.run(experiment[None])[0] for pair, d in each.items()
-        }
+    def distances(self, answers: Answers) -> dict[tuple[str, str], float]:
+        """How far the models of each pair are apart in one experiment, RMS in units of what is not known."""
+        return {pair: float(np.sqrt(d[0])) for each in self.read(answers)[0] for pair, d in each.items()}
 
-    def scores(self, experiments: Array) -> Array:
-        """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
+    def scores(self, answers: Answers) -> Array:
+        """How good experiments are for each channel (n, 2), a natural logarithm; -inf beyond the pressure limit.
 
         A pair that is as far apart as what is not known counts as separated, and more for nothing."""
-        apart, left, allowed = self.run(experiments)
-        found = np.zeros((len(experiments), 2))
+        apart, left = self.read(answers)
+        allowed, rows = answers[1], round(SECONDS / PERIOD)
+        found = np.zeros(allowed.shape)
         for question, squares in zip(self.questions, apart, strict=True):
             own = [c for c in (0, 1) if question.channel in (None, c)]
             for d in squares.values():
-                found[:, own] += (np.log1p(d * experiments.shape[1]) - np.log1p(d))[:, None]
+                found[:, own] += (np.log1p(d * rows) - np.log1p(d))[:, None]
         for c, mean_square in left.items():
             found[:, c] -= np.log1p(mean_square)
         return np.where(allowed, found, -np.inf)
@@ -321,7 +326,7 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
     settings, size = trial.fit.settings, 1.0
     for _ in range(MAX_TIMES_SMALLER):
         pieces = _drawn(rng, FIRST, size, max_load)
-        scores = trial.scores(_whole(pieces, settings))
+        scores = trial.scores(trial.simulated(_whole(pieces, settings)))
         if np.isfinite(scores).any(axis=0).all():
             break
         size *= SMALLER
@@ -333,7 +338,7 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
     for place in range(PIECES):
         tried = np.repeat(chosen[None], PIECES_TRIED, axis=0)
         tried[:, place] = _drawn(rng, PIECES_TRIED, size, max_load, 1)[:, 0]
-        scores = trial.scores(_whole(tried, settings))
+        scores = trial.scores(trial.simulated(_whole(tried, settings)))
         best = np.argmax(scores, axis=0)
         for c in (0, 1):
             if scores[best[c], c] > reached[c]:
@@ -342,11 +347,10 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 
 
 def _described(trial: Trial, experiment: Array) -> Design:
-    answers, left, _ = trial.run(experiment[None])
-    apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.items()}
-    prediction = None
+    answers = trial.simulated(experiment[None])
+    left, prediction = trial.read(answers)[1], None
     if left:
         now = max(float(np.trace(each.apart)) for each in trial.operations.values())
         prediction = np.sqrt(now), np.sqrt(max(float(each[0]) for each in left.values()))
     rated = np.array(trial.fit.rig.model.pair("u_rated"))
-    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, prediction)
+    return Design(experiment[..., 0] * rated, experiment[..., 1], trial.distances(answers), prediction)

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 from hydro_env.case import dialogue, folder
 from hydro_env.case.folder import CaseFile, Place
 from hydro_env.case.hypotheses import certainty, expected, places_of
-from hydro_env.case.sensors import SENSORS, Shown, apart_with, chosen, costs_of, shown
+from hydro_env.case.sensors import SENSORS, Shown, chosen, costs_of, shown
 from hydro_env.case.unseen import with_experiment
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import Settings, diagnose
@@ -229,16 +230,6 @@ def test_a_log_without_the_sensor_is_accepted_and_said(
     assert begun(_log(tmp_path / "there.csv", 5.0, "spool_1_mm")).rounds[3].remarks == []
 
 
-def test_a_sensor_is_asked_for_where_it_is_worth_its_cost() -> None:
-    def asked(without: float, with_it: float, cost: float) -> str | None:
-        return chosen({TWINS: without}, {"flow": {TWINS: with_it}}, {"flow": cost}, 0.1).sensor
-
-    assert asked(0.05, 1.2, 1.0) == "flow"  # twins that commands cannot part
-    assert asked(1.1, 5.0, 0.0) is None  # commands part them
-    assert asked(0.01, 0.05, 0.0) is None  # nor does the sensor
-    assert asked(0.8, 1.0, 1.0) is None and asked(0.8, 1.0, 0.5) == "flow"  # 0.56 of an experiment
-
-
 def _estimate(fit: Fit, name: str) -> Estimate:
     """A model with an effect of its typical size that the logs determine."""
     unknowns = effect_unknowns(CATALOGUE[name], {p.name: p.typical for p in CATALOGUE[name].parameters})
@@ -248,18 +239,47 @@ def _estimate(fit: Fit, name: str) -> Estimate:
     return found
 
 
-def test_a_sensor_takes_nothing_away(tmp_path: Path) -> None:
-    """With the spool seen, stiction and a dead zone are further apart than by speed, current and pressure."""
-    make_practice([], duration=3.0, rate=500.0, runs=("fit_1",)).write(tmp_path)
-    logged = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+@pytest.fixture(scope="module")
+def twins(tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    """Stiction and a dead zone, by speed, current and pressure."""
+    where = tmp_path_factory.mktemp("twins")
+    make_practice([], duration=3.0, rate=500.0, runs=("fit_1",)).write(where)
+    logged = DynamicRig(load_model("paper"), read_parts([where / "fit_1.csv"], None))
     noise = {(0, "speed"): RPM, (0, "current"): 0.002, (0, "pressure"): 0.05 * BAR}
     fit = Fit(logged, noise, Settings())
-    trial = Trial(fit, [Question(0, {name: _estimate(fit, name) for name in TWINS})])
-    command = 0.3 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
-    experiment = np.stack([np.column_stack([command, command]), np.zeros((1200, 2))], axis=-1)
-    found = apart_with(trial, experiment, ["spool", "current"])
-    assert {*found} == {"spool"}, "the current is logged already"
-    assert found["spool"][TWINS] >= trial.distances(experiment)[TWINS]
+    return Trial(fit, [Question(0, {name: _estimate(fit, name) for name in TWINS})])
+
+
+def _sine(amplitude: float) -> np.ndarray:
+    command = amplitude * np.sin(2.0 * np.pi * np.arange(1200) / 400)
+    return np.stack([np.column_stack([command, command]), np.zeros((1200, 2))], axis=-1)[None]
+
+
+def test_a_sensor_is_asked_for_where_it_shows_more_than_its_cost(
+    twins: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(without: float, with_it: float, cost: float) -> str | None:
+        def read(trial: Trial, _: Any) -> Any:
+            return [{TWINS: np.array([trial.times * (with_it if trial.more else without) ** 2])}], {}
+
+        monkeypatch.setattr(Trial, "read", read)
+        return chosen(twins, ([], np.ones((1, 2), bool)), {"current": 0.0, "flow": cost}).sensor
+
+    assert asked(0.05, 1.2, 1.0) == "flow"  # twins that commands cannot part; the current is logged already
+    assert asked(0.1, 0.12, 1.0) is None and asked(0.1, 0.12, 0.0) == "flow"  # 0.44 of an experiment
+    assert asked(0.1, 0.2, 1.0) == "flow" and asked(0.1, 0.2, 4.0) is None  # three
+    assert asked(2.0, 5.0, 1.0) is None  # commands part them
+
+
+def test_with_a_sensor_models_are_no_nearer(twins: Trial) -> None:
+    answers = twins.simulated(_sine(0.1))
+    assert replace(twins, more=["spool"]).distances(answers)[TWINS] > 1.2 * twins.distances(answers)[TWINS]
+
+
+def test_an_experiment_done_twice_shows_twice_as_much(twins: Trial) -> None:
+    answers = twins.simulated(_sine(0.01))
+    once, twice = (replace(twins, times=n).distances(answers)[TWINS] for n in (1.0, 2.0))
+    assert 1.2 < twice / once < 1.42
 
 
 def test_what_is_expected_follows_from_the_distance() -> None:

@@ -72,7 +72,8 @@ def test_commands_part_two_models_better_than_random_ones(rig: DynamicRig) -> No
     assert found is not None and min(found.apart.values()) > 1.0
     others = [random_design(rig.model, fit.settings, np.random.default_rng(n)) for n in range(10)]
     tried = np.array([_experiment(*each) for each in ((found.command_V, found.load), *others)])
-    scores = Trial(fit, asked).scores(tried)[:, 0]
+    trial = Trial(fit, asked)
+    scores = trial.scores(trial.simulated(tried))[:, 0]
     assert scores[0] > scores[1:].max()
 
 
@@ -81,8 +82,8 @@ def test_what_is_apart_already_counts_no_more(rig: DynamicRig, monkeypatch: pyte
 
     def score(square: float) -> float:
         apart = {("a", "b"): np.array([square])}
-        monkeypatch.setattr(Trial, "run", lambda *_: ([apart], {}, np.ones((1, 2), bool)))
-        return float(Trial(Fit(rig, NOISE), [Question(0, {})]).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
+        monkeypatch.setattr(Trial, "read", lambda *_: ([apart], {}))
+        return float(Trial(Fit(rig, NOISE), [Question(0, {})]).scores(([], np.ones((1, 2), bool)))[0, 0])
 
     assert 0.0 < score(1e4) - score(1e2) < 0.02
     assert score(1e-1) - score(1e-3) > 1.0 and score(0.0) == 0.0
@@ -99,7 +100,7 @@ def test_the_form_of_an_effect_hides_what_a_log_says(
         monkeypatch.setattr(experiment_design, "FORM", form)
         estimate = _estimate(fit, effect, 1.0, 0.02) if effect else _base(fit)
         trial = Trial(fit, [], {0: Operation(estimate, np.eye(8))})
-        return float(trial.run(tried)[1][0][0])
+        return float(trial.read(trial.simulated(tried))[1][0][0])
 
     assert left("dead_zone", 0.1) > 1.05 * left("dead_zone", 0.0)
     assert left("", 0.1) == left("", 0.0)
@@ -141,7 +142,7 @@ def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) 
         trial = Trial(
             fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
         )
-        (apart,), _, _ = trial.run(tried)
+        (apart,), _ = trial.read(trial.simulated(tried))
         return float(apart["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
@@ -156,7 +157,7 @@ def test_a_model_of_the_rig_is_parted_from_one_of_a_channel(rig: DynamicRig) -> 
     }
     trial = Trial(fit, [Question(0, models)])
     tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(7)))[None]
-    (apart,), _, _ = trial.run(tried)
+    (apart,), _ = trial.read(trial.simulated(tried))
     assert apart["supply_droop", "dead_zone"][0] > 0.1
 
 
@@ -176,9 +177,8 @@ def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_pat
     assert operation is not None and np.trace(operation.apart) > 1.0
     trial = Trial(fit, [], {0: operation})
     command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), max_load=0.6)
-    (with_load, without) = trial.run(
-        np.array([_experiment(command, load), _experiment(command, 0.0 * load)])
-    )[1][0]
+    both = np.array([_experiment(command, load), _experiment(command, 0.0 * load)])
+    (with_load, without) = trial.read(trial.simulated(both))[1][0]
     assert with_load < 0.2 * without and without > 0.5 * np.trace(operation.apart)
     found = best_design(trial, np.random.default_rng(6), max_load=0.6)
     assert found is not None and 0.1 < np.abs(found.load[:, 0]).max() <= 0.6

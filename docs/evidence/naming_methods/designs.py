@@ -11,6 +11,7 @@ from hydro_env.case.hypotheses import places_of
 from hydro_env.case.sensors import SENSORS, Shown
 from hydro_env.diagnosis import Diagnosis, Settings
 from hydro_env.diagnosis.experiment_design import (
+    Answers,
     Array,
     Operation,
     Trial,
@@ -18,6 +19,7 @@ from hydro_env.diagnosis.experiment_design import (
     commands_csv,
     random_design,
 )
+from hydro_env.diagnosis.models.base import UNITS
 from hydro_env.diagnosis.stages.next_experiment import max_load
 
 
@@ -44,16 +46,15 @@ class Information(Trial):
     """Experiments by what they show about the parameters of the `operations`: the logarithm of the factor by which the volume of
     what is open shrinks (Bayesian D-optimality; Chaloner and Verdinelli, Bayesian experimental design, 1995)."""
 
-    def scores(self, experiments: Array) -> Array:
-        tables, allowed = self._simulate(experiments)
-        found = np.zeros((len(experiments), 2))
-        for (c, operation), table in zip(self.operations.items(), tables, strict=True):
-            seen = table[c] / self._scales([operation.estimate], c)
-            for n in range(len(experiments)):
+    def scores(self, answers: Answers) -> Array:
+        found, places = np.zeros(answers[1].shape), [[*UNITS].index(signal) for signal in self.signals]
+        for (c, operation), table in zip(self.operations.items(), answers[0], strict=True):
+            seen = table[c][:, :, places] / self._scales([operation.estimate], c)
+            for n in range(len(found)):
                 whole, _, *draws = seen[:, n]
                 off = (np.array(draws) - whole).reshape(len(draws), -1) / np.sqrt(len(draws))
                 found[n, c] = np.linalg.slogdet(np.eye(len(off)) + off @ off.T)[1]
-        return np.where(allowed, found, -np.inf)
+        return np.where(answers[1], found, -np.inf)
 
 
 def d_optimal(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
@@ -69,7 +70,6 @@ def d_optimal(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str
     experiment = np.stack(
         [design.command_V / np.array(found.rig.model.pair("u_rated")), design.load], axis=-1
     )
-    more = {
-        name: replace(trial, more=SENSORS[name]).scores(experiment[None]).sum() for name in lacking(found)
-    }
+    answers = trial.simulated(experiment[None])
+    more = {name: replace(trial, more=SENSORS[name]).scores(answers).sum() for name in lacking(found)}
     return commands_csv(design.command_V, design.load), [max(more, key=more.__getitem__)] if more else []

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from ...case.dialogue import SURE, next_question
 from ...case.hypotheses import certainty, places_of
-from ...case.sensors import COST, SENSORS, shown
+from ...case.sensors import SENSORS, shown
 from ...case.unseen import with_experiment
 from ...diagnosis import Diagnosis
 from ...errors import InputError
@@ -36,11 +36,11 @@ Designer = Callable[[Diagnosis, np.random.Generator], tuple[str, list[str]] | No
 
 
 def asked(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
-    """What a case asks (`hydro-env diagnose --case`)."""
+    """What a case asks (`hydro-env diagnose --case`), with sensors that cost nothing, since the budget has one for a question."""
     places = places_of(found)
     if certainty(places) < SURE:
         found = with_experiment(found)
-    sensor = shown(found, dict.fromkeys(SENSORS, COST))
+    sensor = shown(found, dict.fromkeys(SENSORS, 0.0))
     question, _ = next_question(found, places, sensor, "question.csv", may_ask=True)
     commands = found.next_experiment and found.next_experiment.csv()
     return (commands, [*filter(None, [sensor.sensor])]) if question and commands else None
