@@ -110,6 +110,7 @@ def _valves(folder: Path) -> None:
         "hysteresis, % (widest at, %)": [
             f"{v['hysteresis']['percent']:.1f} ({v['hysteresis']['widest_at_percent']:.0f})" for v in valves
         ],
+        "gain, l/min per A": [f"{v['positive']['gain_lpm_per_unit']:.1f}" for v in valves],
         "linearity, %": [f"{v['positive']['linearity_percent']:.1f}" for v in valves],
         "maximum flow, l/min": [f"{v['positive']['maximum_flow_lpm']:.1f}" for v in valves],
     }
