@@ -78,7 +78,7 @@ def advantages(reward: Tensor, value: Tensor, ended: Tensor, following: Tensor) 
 def score(
     agent: Any, curve: list[dict[str, Any]], steps: int, begun: tuple[float, float], out: Path, pairs: int
 ) -> bool:
-    """Adds a point to a learning curve: the scores of a policy file or policy on pairs of `val` after so many control periods,
+    """Adds a point to a learning curve: the scores of a policy file or policy on pairs of `val` after these control periods,
     and the time that passed on both `clocks`. Returns whether its mean return is the best so far."""
     wall, cpu = (round(now - then, 1) for now, then in zip(clocks(), begun, strict=True))
     scores = {name: evaluate(agent, pairs, {}, name) for name in SCENARIOS}

@@ -937,7 +937,7 @@ def part(name: str) -> str:
 
 
 def filled(text: str) -> str:
-    """The text with every generated part made anew."""
+    """The text with every generated part made again."""
 
     def fill(match: re.Match[str]) -> str:
         return f"{match[1]}\n{part(match[2])}\n<!-- end -->"

@@ -54,7 +54,7 @@ class Teacher:
         law.update(decode(observation))
 
     def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:
-        """Begins anew with the first observations (n, 9) of some rigs."""
+        """Begins again with the first observations (n, 9) of some rigs."""
         if not rigs.size:
             return
         begun = FlowController(LAW)
@@ -113,7 +113,7 @@ class PiTeacher:
         self._before, self._newest = self._newest, observation.astype(float)
 
     def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:
-        """Begins anew with the first observations (n, 9) of some rigs."""
+        """Begins again with the first observations (n, 9) of some rigs."""
         self._before[rigs] = self._newest[rigs] = observation
 
     def notes(self) -> NDArray[np.float64]:

@@ -95,7 +95,7 @@ def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
 
 
 def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[str, Any]]:
-    """What was found after every log, from `found` in the first one in so many `seconds`."""
+    """What was found after every log, from `found` in the first one, which took `seconds`."""
     rng = np.random.default_rng([rig.settings["seed"], 8])
     answers: list[Path] = []
     rounds: list[dict[str, Any]] = []

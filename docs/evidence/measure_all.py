@@ -138,7 +138,7 @@ def _four_edges(folder: Path) -> None:
         "held-out speeds within 1.3 times the noise": lambda r: r["worst"] <= 1.3,
     }  # fmt: skip
     rows = [[text, *(str(sum(map(counted, own))) for own in seeds)] for text, counted in counts.items()]
-    _table(folder / "four_edge_rigs.md", ["of so many", "seed 1", "seed 2"], rows)
+    _table(folder / "four_edge_rigs.md", ["count", "seed 1", "seed 2"], rows)
 
 
 def _two_tables(folder: Path) -> None:

@@ -155,8 +155,8 @@ Distances = dict[tuple[str, str], Array]
 
 
 def _distances(one: Array, other: Array, times: float) -> Array:
-    """Mean squares (experiments,) of the difference, less what the ensembles say could be made up for (Woodbury's identity); all
-    is seen so many `times`."""
+    """Mean squares (experiments,) of the difference, less what the ensembles say could be made up for (Woodbury's identity), if
+    the experiment is done `times` times."""
     found = np.empty(one.shape[1])
     for n in range(found.size):
         a, b = one[:, n], other[:, n]

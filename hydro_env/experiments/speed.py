@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 
 def _rate(work: Callable[[], object], units: int, seconds: float) -> float:
-    """Units of work a second of processor time, so many in a call: the best of five stretches, after one that warms up.
+    """Units of work a second of processor time, with `units` in a call: the best of five stretches, after one that warms up.
 
     All work here is done by one thread, so that on an idle machine this is time on the clock, and on a busy one it does
     not count what others take.

@@ -138,7 +138,7 @@ class Plant:
         self._observe()
 
     def _fits(self, need: float) -> None:
-        """InputError where so many bytes are more than this machine has."""
+        """InputError where `need` bytes are more than this machine has."""
         if need > (most := machine_memory()):
             raise InputError(
                 f"{self.num_rigs} rigs need {need / 2**30:.3g} GiB for their plant alone, this machine has"
@@ -220,7 +220,7 @@ class Plant:
         self._by_channel(self._memory)[block, row, :, lane] += np.asarray(by, float)
 
     def shift_sent(self, ago: int, by: ArrayLike, rows: slice) -> None:
-        """Adds `by` (V), a number or (number of rows, 2), to the command of some rigs that was sent so many rows of commands ago
+        """Adds `by` (V), a number or (number of rows, 2), to the command of some rigs that was sent `ago` rows earlier
         (1: the last one) and may still be on its way, within what the valves take."""
         block, lane = self._lanes(rows)
         sent = self._by_channel(self._ring)[:, (self._head + 1 - ago) % self._ring.shape[1]]
@@ -316,7 +316,7 @@ class Plant:
         )  # fmt: skip
 
     def turn(self, rows: int) -> None:
-        """Moves the delay line on by so many rows, after `hold_rigs`."""
+        """Moves the delay line on by `rows`, after `hold_rigs`."""
         self._head = (self._head + rows) % self._ring.shape[1]
 
     def run(

@@ -6,7 +6,7 @@ similarity of displacement machines; Merritt 1967, ch. 5 and 8). So a rig is dra
 simulated has its ratios with the paper's displacement, rated flow, supply pressure, rated current and travel of the spool. Its
 observations are those of the rig itself, which are scaled by its size anyway; 600 rpm stand for its own largest set-point.
 
-`pace` makes everything on the rig so many times as slow. A controller counts in its own periods: at a pace of 2 a period of 10 ms
+`pace` makes everything on the rig slower by this factor. A controller counts in its own periods: at a pace of 2 a period of 10 ms
 is to it what one of 5 ms is on the rig as drawn. The little that the coil's back-EMF damps the spool stays as it is.
 """
 

@@ -95,6 +95,5 @@ def test_a_smaller_valve_before_the_same_motor_makes_the_pressures_smaller_too()
     law = make_controller("adaptive_flow")
     law.drives(load_model("valve_2"))
     assert law.scales.flow < 0.8
-    assert law.scales.pressure == pytest.approx(
-        law.scales.flow
-    )  # else the motor leaks another share of its flow
+    # Else the motor leaks another share of its flow.
+    assert law.scales.pressure == pytest.approx(law.scales.flow)

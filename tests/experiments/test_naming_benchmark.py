@@ -217,9 +217,9 @@ def test_a_rig_answers_with_the_sensors_that_are_asked_for(asked_set: Path, tmp_
     [
         (
             [("spool", "flow"), ("spool", "motor_pressure")],
-            "question_2.csv: the rig's budget has not so many sensors",
+            "question_2.csv: beyond the rig's budget of 3 sensors",
         ),
-        ([()] * 4, "question_4.csv: the rig's budget has not so many questions"),
+        ([()] * 4, "question_4.csv: beyond the rig's budget of 3 questions"),
         ([("spol",)], "did you mean 'spool'"),
     ],
 )
@@ -239,7 +239,7 @@ def test_a_question_beyond_the_budget_is_refused(
 
 def test_seconds_are_limited(asked_set: Path, tmp_path: Path) -> None:
     question(tmp_path, 1, seconds=20.0)  # and the last row lasts as long as the one before
-    with pytest.raises(InputError, match="not so many seconds left, of 36 in all"):
+    with pytest.raises(InputError, match="beyond the rig's budget of 36 seconds in all"):
         dialogue.play(asked_set, tmp_path)
 
 

@@ -71,5 +71,7 @@ def d_optimal(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str
         [design.command_V / np.array(found.rig.model.pair("u_rated")), design.load], axis=-1
     )
     answers = trial.simulated(experiment[None])
-    more = {name: replace(trial, more=SENSORS[name]).scores(answers).sum() for name in lacking(found)}
+    had = found.logs.fit.rig.signals
+    added = {name: [s for s in SENSORS[name] if s not in had] for name in lacking(found)}
+    more = {name: replace(trial, more=added[name]).scores(answers).sum() for name in added}
     return commands_csv(design.command_V, design.load), [max(more, key=more.__getitem__)] if more else []

@@ -44,7 +44,7 @@ CASES, TRIALS = 12, 480
 Of the plant's own pair these are twelve episodes with other noise and set-points: gains that fit a few suit no others."""
 EPISODES = 2 * CASES * TRIALS
 FINALISTS = 6
-"""Of the last generation, compared on so many other pairs that it takes as many episodes as a generation."""
+"""Of the last generation, compared on other pairs, in as many episodes as a generation takes."""
 AT_END = 0.01
 """Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"

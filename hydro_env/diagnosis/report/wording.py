@@ -66,7 +66,7 @@ def unit_of(unit: str, size: float) -> tuple[str, float]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """So many digits, without an exponent where that reads well."""
+    """This many digits, without an exponent where that reads well."""
     if not math.isfinite(value):
         return "none"
     if value == 0.0:

@@ -101,7 +101,7 @@ def play_rig(folder: Path, own: Path) -> int:
         left = {key: left[key] - spent[key] for key in left}
         if short := [key for key, rest in left.items() if rest < 0]:
             raise InputError(
-                f"{question}: the rig's budget has not so many {short[0]} left, of {about['budget'][short[0]]:g} in all"
+                f"{question}: beyond the rig's budget of {about['budget'][short[0]]:g} {short[0]} in all"
             )
         if not answer.exists():
             settings = {key: truth[key] for key in ("severity", "base_error", "noise", "seed", "values")}

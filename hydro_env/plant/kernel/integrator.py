@@ -91,7 +91,7 @@ ERRORS = {
 
 class Tolerated(NamedTuple):
     """What the tolerance of the speed allows. It is at most `share` of the speed that the fully open valve gives the motor, down
-    to `min_share` of itself. For each rad/s of it a spool in motion may be `late` by so many s: its weight grows with its speed.
+    to `min_share` of itself. For each rad/s of it a spool in motion may be `late`, in s: its weight grows with its speed.
     The same of a state of an effect: `own_error` of its size for each rad/s, and `own_late`, s."""
 
     share: float = 3e-4
