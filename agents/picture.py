@@ -27,7 +27,7 @@ WINDOWS = ((0.0, 0.9), (1.95, 2.55))
 PLANTS = {"servo_pid": "servo"}
 
 
-def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.float64]]:
+def signals(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.float64]]:
     """Signals of one controller on one pair of `val`, each with one row per control period."""
     servo = PLANTS.get(name)
     kwargs: dict[str, Any] = {"plant": servo, "mismatch": None} if servo else {"mismatch": "val"}
@@ -66,14 +66,14 @@ def draw(out: Path, name: str = "probing_flow", case: int = 37) -> None:
     import matplotlib.pyplot as plt
 
     names = {"pid_tuned": "PID, tuned", "servo_pid": "PID on servo valves", name: name}
-    courses = {name: course(name, case) for name in names}
+    traces = {name: signals(name, case) for name in names}
     widths = [each for _ in names for each in (WINDOWS[0][1] - WINDOWS[0][0], WINDOWS[1][1] - WINDOWS[1][0])]
     figure, axes = plt.subplots(
         3, 2 * len(names), figsize=(15, 7.5), sharey="row", gridspec_kw={"width_ratios": widths}
     )
     colours = ("#0072b2", "#d55e00")
     for column, (name, title) in enumerate(names.items()):
-        data = courses[name]
+        data = traces[name]
         time = data["time"]
         for part, window in enumerate(WINDOWS):
             top, middle, low = axes[:, 2 * column + part]

@@ -1,4 +1,4 @@
-"""The first stage: the network imitates the law that probes and plans, on the courses that the network itself takes (DAgger;
+"""The first stage: the network imitates the law that probes and plans, in the states that the network itself visits (DAgger;
 Ross, Gordon and Bagnell, A reduction of imitation learning and structured prediction to no-regret online learning, 2011).
 
 A share of the rigs that grows from none to nearly all is driven by the network. The law follows along on every rig: its

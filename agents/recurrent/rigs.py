@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.recurrent.course import TRAINING
+from agents.recurrent.profile import TRAINING
 from agents.recurrent.settings import Settings
 from agents.true_map import true_map
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
@@ -67,7 +67,7 @@ class Rigs:
     def step(self, commands: NDArray[Any]) -> None:
         """One control period with commands (num_rigs, 2)."""
         self.before = self.observation
-        self.observation = self.env.advance(commands)[0]
+        self.observation = self.env.step_rows(commands)[0]
 
     def next_window(self) -> NDArray[np.int64]:
         """Begins new episodes in the group whose turn it is; returns its rigs. Observations are replaced, not written to."""

@@ -61,7 +61,7 @@ class Gradient:
     )
     rate: float = setting(5e-3, "1", "step size of Adam, which falls to a twentieth along a cosine", HAND)
     difference: float = setting(1.0, "1", "weight of the squared speed difference over 10 rpm", HAND)
-    corner: float = setting(
+    huber_threshold: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
     bound: float = setting(
@@ -77,12 +77,12 @@ class Gradient:
     )
     keep_state: float = setting(0.9, "1", "of the plant's adjoint that is kept each period", HAND)
     keep_memory: float = setting(0.97, "1", "of the adjoint of the recurrent state", HAND)
-    most_state: float = setting(
+    max_state: float = setting(
         500.0, "1", "largest adjoint of one rig's plant", "a multiple of the usual ones"
     )
-    most_memory: float = setting(50.0, "1", "of its recurrent state", "likewise")
-    most_reading: float = setting(200.0, "1", "of its readings", "likewise")
-    most_command: float = setting(50.0, "1", "of its commands", "likewise")
+    max_memory: float = setting(50.0, "1", "of its recurrent state", "likewise")
+    max_reading: float = setting(200.0, "1", "of its readings", "likewise")
+    max_command: float = setting(50.0, "1", "of its commands", "likewise")
 
 
 @dataclass(frozen=True)

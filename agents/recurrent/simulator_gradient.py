@@ -283,9 +283,9 @@ class Group:
         for t in range(s.window):
             setpoint = rigs.observation[:, :1] * (SCALES[0] / RPM)
             if t > 0:
-                state = Bounded.apply(state, s.most_memory, s.keep_memory)
-                plant = Bounded.apply(plant, s.most_state, s.keep_state)
-                sent = Bounded.apply(sent, s.most_command, 1.0)
+                state = Bounded.apply(state, s.max_memory, s.keep_memory)
+                plant = Bounded.apply(plant, s.max_state, s.keep_state)
+                sent = Bounded.apply(sent, s.max_command, 1.0)
             seen = self._seen(plant, sent) if t > 0 else torch.from_numpy(rigs.observation)
             commands, state = policy.step(torch.cat([before, seen], 1), state)
             commands = commands.clamp(-1.0, 1.0)
@@ -303,7 +303,7 @@ class Group:
     def _seen(self, plant: Tensor, sent: Tensor) -> Tensor:
         """The observation (N, 9), which moves with the states and commands it was taken from."""
         moving = torch.cat([plant[..., self._slopes.readings].transpose(1, 2).flatten(1), sent], 1)
-        moving = Bounded.apply(moving, self.settings.most_reading, 1.0)
+        moving = Bounded.apply(moving, self.settings.max_reading, 1.0)
         shown = torch.from_numpy(self.rigs.observation)
         return shown + nn.functional.pad(moving - moving.detach(), (1, 0))
 
@@ -312,7 +312,7 @@ def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor
     """The costs (N, 3) of a period, tracking without its weight: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the
     commands."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
-    beyond = s.corner * (2.0 * apart - s.corner)
-    difference = torch.where(apart < s.corner, apart**2, beyond) / 100.0
+    beyond = s.huber_threshold * (2.0 * apart - s.huber_threshold)
+    difference = torch.where(apart < s.huber_threshold, apart**2, beyond) / 100.0
     tracking = (speed - setpoint).abs().mean(1)
     return torch.stack([s.difference * difference, tracking, s.travel * move.abs().mean(1)], 1)

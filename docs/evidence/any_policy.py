@@ -38,7 +38,7 @@ METRICS = {
     "tracking": "tracking_mae_rpm",
     "travel": "command_travel_per_s",
 }
-#: Episodes of a rig in a scenario, with other noise and courses, and the seed of the search for its gains.
+#: Episodes of a rig in a scenario, with other noise and profiles, and the seed of the search for its gains.
 TIMES, SEED = 4, 10_000
 
 

@@ -125,7 +125,7 @@ def inform(controller: Any, model: Any, plant: Any, loads: Callable[[], Floats])
 
 
 def _loads(env: HydraulicSyncVectorEnv) -> Floats:
-    return np.stack([env.course(row).load for row in range(env.num_envs)], axis=1)
+    return np.stack([env.reference(row).load for row in range(env.num_envs)], axis=1)
 
 
 def _checked(action: Any, num_rigs: int) -> Floats:

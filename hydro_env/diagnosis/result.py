@@ -41,7 +41,7 @@ class Diagnosis(State):
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, of schema `SCHEMA`.
 
-        `best_guess`, `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there
+        `best_guess`, `candidates`, `warnings`, `hidden_by_calibration` and `form_corrections` go beyond the contract. Where there
         are form corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
         logs = (*self.rig.parts, *self.logs.held_out.parts)
@@ -54,13 +54,13 @@ class Diagnosis(State):
             "where": [p.as_dict() for p in self.locations],
             "calibrated": {p.name: {"nominal": p.nominal, **vars(p.estimate)} for p in known},
             "gap": {"sealed": self.proofs.held_out.as_dict(), "fit": self.proofs.fit.as_dict()},
-            "shape_corrections": [self._correction(k) for k in self.models.corrections],
+            "form_corrections": [self._correction(k) for k in self.models.corrections],
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "detectable": detectable(self.screening),
             "hidden_by_calibration": hidden_by_calibration(self.screening),
             "seconds": round(self.seconds, 1),
             "log_sha256": {p.log.name: p.log.sha256 for p in logs},
-            "trials": [t.as_dict() for t in self.selection.candidates],
+            "candidates": [t.as_dict() for t in self.selection.candidates],
             "warnings": self.warnings,
         }
 

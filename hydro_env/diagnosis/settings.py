@@ -17,9 +17,9 @@ class Settings:
     #: verdict is `unknown`, ...
     unexplained: float = 1.5
     #: ... unless what was found explains this share of it in `Fit.levels`, more than it leaves, ...
-    most_of_level: float = 0.5
+    level_share: float = 0.5
     #: ... or this share in power: less than half of it is left in size.
-    most_of_power: float = 0.8
+    power_share: float = 0.8
     #: Competing candidates whose gain is less than this share behind count as indistinguishable: the laws of machines differ as
     #: much.
     tied_share: float = 0.1

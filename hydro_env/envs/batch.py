@@ -253,7 +253,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                 "an episode has ended: reset its row, options={'reset_mask': mask}"
             )
         waiting = mode is AutoresetMode.NEXT_STEP and again.any()
-        result = self._rollout.outputs() if waiting and again.all() else self.advance(actions)
+        result = self._rollout.outputs() if waiting and again.all() else self.step_rows(actions)
         observation, true, reward, terminated, truncated = result
         if waiting:
             self._restart(again, result)
@@ -287,7 +287,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
         Everything but pictures the rows have in common. ValueError for what steps or resets them.
         """
-        if name in ("reset", "step", "advance"):
+        if name in ("reset", "step", "step_rows"):
             raise ValueError(f"{name} concerns all rows: call it on the environment itself")
         found = getattr(self, name)
         answer = found(*args, **kwargs) if callable(found) else found
@@ -313,12 +313,12 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Values (N, 2) of the parameters in which the valves of this environment may differ, as they now are."""
         return self._randomisation.pairs(self.plant)
 
-    def course(self, row: int = 0) -> Reference:
+    def reference(self, row: int = 0) -> Reference:
         """What the present episode of a row drives: set-point (T + 1,) in rad/s and loads (T + 1, 2) in N m."""
         state = self._rollout.state[row]
         return self._rollout.profiles.decoded(int(state["profile"]), int(state["last"]) + 1)
 
-    def advance(self, actions: ArrayLike) -> Result:
+    def step_rows(self, actions: ArrayLike) -> Result:
         """One control period for all rows, without autoreset, info and what `seen` does. ValueError as for `step`."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("reset every row of the environment before the first step")

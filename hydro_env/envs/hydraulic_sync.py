@@ -184,7 +184,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control period; see the class. ValueError for an action that is not two finite real numbers."""
-        observation, true, reward, terminated, truncated = self.batch.advance([action])
+        observation, true, reward, terminated, truncated = self.batch.step_rows([action])
         row, values = true[0], true[0].tolist()
         info: dict[str, Any] = {
             key: row[column] if isinstance(column, slice) else values[column]

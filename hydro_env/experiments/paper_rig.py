@@ -50,7 +50,7 @@ class Traces:
 
 
 def run_paper(
-    model: PlantModel, profile: Scenario, *, values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1,
+    model: PlantModel, scenario: Scenario, *, values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1,
     nominal_torque: ArrayLike = 0.0, peak_from: float = 0.0,
 ) -> Traces:  # fmt: skip
     """Runs the paper's closed loop for `num_rigs` variants of a model side by side.
@@ -70,10 +70,10 @@ def run_paper(
     # The derivative acts on the first step too, as it does in a continuous controller.
     pid.step(np.zeros((num_rigs, 2)), limits=limits)
 
-    steps = round(profile.duration / PERIOD)
+    steps = round(scenario.duration / PERIOD)
     every = round(1e-3 / PERIOD)
     time: Floats = np.arange(steps, dtype=float) * PERIOD
-    setpoint, load = profile.course(time, None)
+    setpoint, load = scenario.profile(time, None)
     torque = np.broadcast_to(np.asarray(nominal_torque, dtype=float), (num_rigs,))
     speeds, commands = (np.empty((-(-steps // every), num_rigs, 2)) for _ in range(2))
     peak = np.zeros(num_rigs)
@@ -88,9 +88,9 @@ def run_paper(
     return Traces(time[::every], setpoint[::every], speeds, commands, peak)
 
 
-def equal_again_after(traces: Traces, profile: Scenario, within_rpm: float) -> Floats:
+def equal_again_after(traces: Traces, scenario: Scenario, within_rpm: float) -> Floats:
     """Time in s, (changes, N), from each change of the set-point until the difference stays within a band."""
-    changes = [0.0, *traces.time[1:][np.diff(traces.setpoint) != 0.0], profile.duration]
+    changes = [0.0, *traces.time[1:][np.diff(traces.setpoint) != 0.0], scenario.duration]
     times = []
     for start, end in itertools.pairwise(changes):
         rows = (traces.time >= start - 1e-9) & (traces.time < end - 1e-9)

@@ -36,7 +36,7 @@ _MIN_SENT, _SENT_PER_S = 500, 1000.0
 class PlantSource:
     """`header` and `body` are plant.h and plant.c. `places` numbers the cell of channel 1 of every signal and parameter;
     channel 2 is the next one. `outputs` names the signals, `parameters` has the range of each parameter, `shared` those that
-    belong to the rig as a whole. `most_sent`: how many commands can be under way, 0 without a delay."""
+    belong to the rig as a whole. `max_sent`: how many commands can be under way, 0 without a delay."""
 
     model: PlantModel
     header: str
@@ -45,7 +45,7 @@ class PlantSource:
     outputs: tuple[str, ...]
     parameters: dict[str, tuple[float, float]]
     shared: frozenset[str]
-    most_sent: int
+    max_sent: int
 
 
 def plant_source(model: PlantModel, version: str) -> PlantSource:
@@ -83,7 +83,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         model=model, header=header, body='#include "plant.h"\n' + source(reader, body),
         places={name: 2 * row for name, row in kernel.rows.items()},
         outputs=(*(name for name, row in kernel.rows.items() if row < kernel.rows["time"]), *_OUTPUTS),
-        parameters=ranges, shared=frozenset(shared), most_sent=sent,
+        parameters=ranges, shared=frozenset(shared), max_sent=sent,
     )  # fmt: skip
 
 

@@ -176,7 +176,7 @@ class Session:
         self._recording = None
 
     # --- time -----------------------------------------------------------------------------------------------------
-    def advance(self) -> None:
+    def step(self) -> None:
         """One control period. A controller that fails leaves both valves without command, and `problem` says why."""
         setpoint, load = self._wanted()
         reading = self._reading = self._rig.sense(setpoint)

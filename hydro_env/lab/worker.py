@@ -84,7 +84,7 @@ class Worker:
             clock = now
             owed = min(owed, _MAX_BEHIND * self._tempo + PERIOD)
             while owed >= PERIOD and not self._over.is_set() and self._changes.empty():
-                self._advance()
+                self._step()
                 owed, done = owed - PERIOD, done + 1
                 if time.perf_counter() - clock > _PAUSE:
                     break
@@ -96,9 +96,9 @@ class Worker:
             self.seen = self._look()
             self._over.wait(_PAUSE)
 
-    def _advance(self) -> None:
+    def _step(self) -> None:
         try:
-            self._session.advance()
+            self._session.step()
         except Exception as problem:  # none is known; the page would stand still without a word
             self._running, self._refused = False, str(InputError(f"paused: {problem!r}"))
 

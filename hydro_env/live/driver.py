@@ -55,8 +55,8 @@ def controlled(
     scales, setpoint, cycles = scales_of(model), None, None
     if scenario is not None:
         named = scenario if not Path(scenario).suffix else read_yaml(scenario, "a scenario in YAML")
-        course = load_scenario(named, scales).reference(link.cycle_s, np.random.default_rng(0)).setpoint
-        setpoint, cycles = (lambda n: float(course[n])), len(course)
+        table = load_scenario(named, scales).reference(link.cycle_s, np.random.default_rng(0)).setpoint
+        setpoint, cycles = (lambda n: float(table[n])), len(table)
     elif link.setpoint is None:
         raise InputError("no set-point: name `setpoint` in the link file, or give --scenario")
 

@@ -46,17 +46,17 @@ class Reference:
 
 @dataclass(frozen=True)
 class Scenario:
-    """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
+    """`duration` in s and `profile(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
 
-    A `random` scenario draws another course in each episode from `stream`, a NumPy generator; the others must not use it. One
+    A `random` scenario draws another profile in each episode from `stream`, a NumPy generator; the others must not use it. One
     that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
-    (n, len(time), 2). `speed` and `torque` are what the speeds and loads of the course are multiplied by.
+    (n, len(time), 2). `speed` and `torque` are what the speeds and loads of the profile are multiplied by.
     """
 
     name: str
     summary: str
     duration: float
-    course: Callable[[Floats, Any], tuple[Floats, Floats]]
+    profile: Callable[[Floats, Any], tuple[Floats, Floats]]
     random: bool = False
     together: bool = False
     speed: float = 1.0
@@ -80,20 +80,20 @@ class Scenario:
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
-        """The course on the grid of a control period in s; a random one is drawn from `stream`."""
+        """The profile on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
             seed = int(stream.integers(2**63))
             setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
-        course = self.course(_grid(self.steps(period), period), stream)
-        setpoint, load = (np.asarray(each, dtype=float) for each in course)
+        profile = self.profile(_grid(self.steps(period), period), stream)
+        setpoint, load = (np.asarray(each, dtype=float) for each in profile)
         return Reference(setpoint * RPM * self.speed, load * self.torque)
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
-            setpoint, load = self.course(_grid(self.steps(period), period), streams)
+            setpoint, load = self.profile(_grid(self.steps(period), period), streams)
             return setpoint * RPM * self.speed, load * self.torque
         rows = range(len(streams)) if self.random else ()
         found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
@@ -117,10 +117,10 @@ def _held(time: Floats, table: Floats) -> Floats:
 def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
     """A scenario from step tables; loads in N m."""
     tables = np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3)
-    return Scenario(name, summary, duration, partial(_table_course, *tables))
+    return Scenario(name, summary, duration, partial(_table_profile, *tables))
 
 
-def _table_course(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
+def _table_profile(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
     return _held(time, setpoint)[:, 0], _held(time, load)
 
 
@@ -166,7 +166,7 @@ def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     return setpoint, load
 
 
-def _random_courses(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
+def _random_profiles(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     setpoint, load = _random_steps(time, streams)
     # In every second episode the set-point goes from level to level in ramps: a moving mean over 0.1-1 s.
     ramps, length = streams.random(2).T
@@ -182,9 +182,9 @@ def _random_courses(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
 
 
 def _random_drives(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
-    # Up to 0.3 s of rest, then as random_courses, but half of the episodes have no load and a quarter the same on both
+    # Up to 0.3 s of rest, then as random_profiles, but half of the episodes have no load and a quarter the same on both
     # motors: sudden loads on one motor alone make differences that nothing prevents and that drown all others.
-    setpoint, load = _random_courses(time, streams)
+    setpoint, load = _random_profiles(time, streams)
     rest, kind = streams.random(2).T
     setpoint[time < 0.3 * rest[:, None]] = 0.0
     load[kind < 0.75, :, 1] = load[kind < 0.75, :, 0]
@@ -216,9 +216,9 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
         "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True
     ),
     Scenario(
-        "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, True, True
+        "random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True
     ),
-    Scenario("random_drives", "random_courses from rest, most without unequal loads", 6.0, _random_drives, True, True),
+    Scenario("random_drives", "random_profiles from rest, most without unequal loads", 6.0, _random_drives, True, True),
 )}  # fmt: skip
 """The scenarios by name."""
 

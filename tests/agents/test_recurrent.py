@@ -142,7 +142,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
     spools hardly stick here; where they do, forward differences depend on their size."""
     whole = replace(
         Gradient(), rigs=64, window=window, keep_state=1.0, keep_memory=1.0,
-        most_state=1e9, most_memory=1e9, most_reading=1e9, most_command=1e9,
+        max_state=1e9, max_memory=1e9, max_reading=1e9, max_command=1e9,
     )  # fmt: skip
     policy = policy_of()
     env = {"plant": name, "mismatch": "train"}

@@ -48,7 +48,7 @@ def started(scenario, mismatch="test_extrap", plant="paper_dead_zone"):
     observation, _ = env.reset(seed=[1, 2])
     controller = make_controller("oracle")
     controller.prepare(copy.deepcopy(env.plant))
-    controller.foresee(np.stack([env.course(row).load for row in range(2)], axis=1))
+    controller.foresee(np.stack([env.reference(row).load for row in range(2)], axis=1))
     controller.reset(2, 0.01)
     return env, observation, controller
 

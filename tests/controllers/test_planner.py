@@ -39,9 +39,9 @@ def channel(friction=0.0, **settings):
     return channel_of(SpoolSettings(friction=friction / STICTION, **settings), Motor(), 0.01, HORIZON)
 
 
-def weights(apart, moves, swing, corner, turns):
+def weights(apart, moves, swing, soft_limit, turns):
     """Beside 1 for the distance from the aim."""
-    changed = PlannerSettings(apart=apart, moves=moves, swing=swing, corner=corner, turns=turns)
+    changed = PlannerSettings(apart=apart, moves=moves, swing=swing, soft_limit=soft_limit, turns=turns)
     return numbers(PlannerNumbers, changed)
 
 

@@ -92,14 +92,14 @@ def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() ->
         "flow_gain_nonlinearity.curvature": first,
         "directional_gain.ratio": first + 2.0 * second + 0.02 * little,
         "load_bias.bias": little,
-        "opening_shape.gain_2": second,
-        "opening_shape.gain_4": third,
+        "opening_form.gain_2": second,
+        "opening_form.gain_4": third,
     }
     # The first law, a quarter of one bend, 10 % of another, and a trace that only the second law has.
     truth = {
         "flow_gain_nonlinearity.curvature": 0.5,
-        "opening_shape.gain_2": 0.25,
-        "opening_shape.gain_4": 0.1,
+        "opening_form.gain_2": 0.25,
+        "opening_form.gain_4": 0.1,
         "load_bias.bias": 0.01,
     }
     fit, base = logged(curves, truth, rows)
@@ -114,7 +114,7 @@ def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() ->
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["flow_gain_nonlinearity"]
     best = search.form_of(search.present[0])
-    assert best is not None and best.estimate.effects() == ["flow_gain_nonlinearity", "opening_shape"]
+    assert best is not None and best.estimate.effects() == ["flow_gain_nonlinearity", "opening_form"]
     assert fit.at_noise(best.estimate, 1.5) and not fit.at_noise(search.present[0], 5.0)
 
 
@@ -123,8 +123,8 @@ _BEND, _OTHER = np.sin(83.0 * time_of(ROWS)), np.sin(111.0 * time_of(ROWS))
 #: Curves of a given effect's own correction, of one that it shares, and of three effects: one that the shared curve can take up,
 #: one that it imitates, and one that is nothing of both.
 BENDS = {
-    "orifice_shape.laminar": np.sin(60.0 * time_of(ROWS)),
-    "torque_shape.torque_4": _BEND,
+    "orifice_form.laminar": np.sin(60.0 * time_of(ROWS)),
+    "torque_form.torque_4": _BEND,
     "sensor_gain.gain": _BEND,
     "sensor_offset.offset": _BEND + 2.0 * _OTHER,
     "load_bias.bias": np.sin(137.0 * time_of(ROWS)),
@@ -142,15 +142,15 @@ def _with_given(truth: dict[str, float]) -> tuple[Fit, Estimate]:
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 def test_the_form_of_a_given_effect_is_corrected_before_anything_is_named(missing: float) -> None:
     """Also beside a missing effect, but not by a curve that could take that up."""
-    truth = {"orifice_shape.laminar": 0.2, "torque_shape.torque_4": 0.1, "load_bias.bias": missing}
+    truth = {"orifice_form.laminar": 0.2, "torque_form.torque_4": 0.1, "load_bias.bias": missing}
     fit, base = _with_given(truth)
     before = Calibrated(Logs(fit, fit.rig, fit.rig), {}, {0: base}, [])
     after, kept = of_given(before)
     assert [(k.effect, k.correction, k.channel) for k in kept] == [
-        ("pressure_dependent_flow", "orifice_shape", 0)
+        ("pressure_dependent_flow", "orifice_form", 0)
     ]
-    assert after.estimates[0].effects() == ["orifice_shape"] and after.plain == {0: base}
-    assert after.estimates[0].values(0)["orifice_shape.laminar"] == pytest.approx(0.2, abs=0.02)
+    assert after.estimates[0].effects() == ["orifice_form"] and after.plain == {0: base}
+    assert after.estimates[0].values(0)["orifice_form.laminar"] == pytest.approx(0.2, abs=0.02)
 
 
 def test_a_given_effect_of_the_right_form_is_left_alone() -> None:
@@ -167,7 +167,7 @@ def test_an_effect_beside_given_ones_explains_more_than_their_form(
     effect: str, own: float, stays: bool
 ) -> None:
     """As much with fewer numbers, or what no form of them explains."""
-    truth = {"torque_shape.torque_4": 0.1, "load_bias.bias": own}
+    truth = {"torque_form.torque_4": 0.1, "load_bias.bias": own}
     fit, base = _with_given(truth)
     name = next(n for n in BENDS if n.startswith(effect))
     more = base.with_effect(effect, {name.split(".")[1]: 0.05})
@@ -181,14 +181,14 @@ def test_an_effect_beside_given_ones_explains_more_than_their_form(
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:
     fit, found = _fitted(tmp_path, "different")
     better, kept = correct(fit, found, [("dead_zone", 0)])
-    assert "corner_shape" in [k.correction for k in kept] and better.cost < found.cost
+    assert "corner_form" in [k.correction for k in kept] and better.cost < found.cost
     left = [
         max(v / fit.noise[0, s] for (_, s), v in fit.rms(p.simulated[0], 0).items()) for p in (found, better)
     ]
     assert left[1] < left[0]
     values = better.values(0)
-    assert 1e-6 < values["corner_shape.rounding"] < 3e-5
-    assert values["corner_shape.corner_positive"] == values["dead_zone.overlap_positive"]
+    assert 1e-6 < values["corner_form.rounding"] < 3e-5
+    assert values["corner_form.corner_positive"] == values["dead_zone.overlap_positive"]
     assert values["dead_zone.overlap_positive"] == pytest.approx(1e-4, rel=0.05)
 
 
@@ -206,7 +206,7 @@ def test_the_size_of_an_orifice_law_of_another_form_is_right(tmp_path: Path) -> 
     fit = Fit(rig, noise_of(rig, {0: found}))
     solve(fit, [found], 6)
     better, kept = correct(fit, found, [(name, 0)])
-    assert [k.correction for k in kept] == ["orifice_shape"]
+    assert [k.correction for k in kept] == ["orifice_form"]
     off = [abs(p.values(0)[f"{name}.supply_pressure"] / supply - 1.0) for p in (found, better)]
     assert off[1] < 0.002 < off[0] and fit.at_noise(better, 1.1) and not fit.at_noise(found, 1.1)
 
@@ -240,12 +240,10 @@ def test_without_a_name_nothing_is_corrected() -> None:
 
 
 def test_a_correction_repeats_what_it_corrects() -> None:
-    problem = with_correction(_bare(), "dead_zone", CATALOGUE["corner_shape"])
+    problem = with_correction(_bare(), "dead_zone", CATALOGUE["corner_form"])
     values = problem.request().values
-    assert values["corner_shape.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
-    assert values["corner_shape.turn"] == 1.0 and "corner_shape.turn" not in [
-        u.name for u in problem.unknowns
-    ]
+    assert values["corner_form.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
+    assert values["corner_form.turn"] == 1.0 and "corner_form.turn" not in [u.name for u in problem.unknowns]
 
 
 def test_channels_that_are_joined_keep_their_own_effects() -> None:
@@ -256,14 +254,14 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
     values = joined({0: first, 1: other}).request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, 3e-5)
     other.unknowns, other.q = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.2}), np.zeros(1)
-    whole = with_correction(joined({0: first, 1: other}), "dead_zone", CATALOGUE["corner_shape"], 0)
+    whole = with_correction(joined({0: first, 1: other}), "dead_zone", CATALOGUE["corner_form"], 0)
     values = whole.request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, nan) and values["load_bias.bias"] == (nan, 0.2)
-    assert values["corner_shape.rounding"] == (1e-5, nan)
-    assert values["corner_shape.corner_positive"][0] == 1e-4 and isnan(
-        values["corner_shape.corner_positive"][1]
+    assert values["corner_form.rounding"] == (1e-5, nan)
+    assert values["corner_form.corner_positive"][0] == 1e-4 and isnan(
+        values["corner_form.corner_positive"][1]
     )
-    assert whole.values(1) == {"load_bias.bias": 0.2, "corner_shape.turn": 1.0}
+    assert whole.values(1) == {"load_bias.bias": 0.2, "corner_form.turn": 1.0}
 
 
 def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:

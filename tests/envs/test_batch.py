@@ -118,9 +118,9 @@ def test_both_precisions_draw_the_same_episodes():
         two.reset(seed=seeds, options={"reset_mask": np.arange(3) == row})
     same(one.pairs["vs"].astype(np.float32), two.pairs["vs"].astype(np.float32))
     for row in range(3):
-        np.testing.assert_array_equal(one.course(row).setpoint, two.course(row).setpoint)
-        np.testing.assert_array_equal(one.course(row).load, two.course(row).load)
-    assert len({one.course(row).setpoint.tobytes() for row in range(3)}) == 3
+        np.testing.assert_array_equal(one.reference(row).setpoint, two.reference(row).setpoint)
+        np.testing.assert_array_equal(one.reference(row).load, two.reference(row).load)
+    assert len({one.reference(row).setpoint.tobytes() for row in range(3)}) == 3
 
 
 def test_seeds_of_rows():
@@ -256,7 +256,7 @@ def test_options_hold_until_the_next_reset(mode):
 
 
 def own_course(batch, row):
-    return np.round(batch.course(row).setpoint * 30.0 / np.pi, 9)
+    return np.round(batch.reference(row).setpoint * 30.0 / np.pi, 9)
 
 
 def test_rows_may_be_reset_one_after_the_other():

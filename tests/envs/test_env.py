@@ -211,7 +211,7 @@ def test_reward_by_hand():
         assert info["cost_travel"] == pytest.approx(np.abs(action - before).mean())
         before = action
     assert info["setpoint_rpm"] == pytest.approx(100)
-    np.testing.assert_allclose(env.batch.course().setpoint[[0, 4, 5]], np.array([300, 300, 100]) * RPM)
+    np.testing.assert_allclose(env.batch.reference().setpoint[[0, 4, 5]], np.array([300, 300, 100]) * RPM)
     env = make(reward={"tracking": 0.0, "difference": 0.0, "variation": 2.0})
     env.reset(seed=0)
     assert env.step(np.array([1.0, 0.0]))[1] == pytest.approx(-1.0)

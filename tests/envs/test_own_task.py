@@ -222,15 +222,15 @@ def test_a_curriculum_reaches_the_coming_episodes(mode):
     _, info = env.reset(seed=0)
     env.step(np.zeros((3, 2)))
     env.use_options({"mismatch": {"base": "train", "Kq": 0.4}, "scenario": {"duration": 0.05}, "noise": 1.0})
-    assert (env.pairs["Kq"] == info["mismatch"]["Kq"]).all() and env.course().setpoint.size == 11
+    assert (env.pairs["Kq"] == info["mismatch"]["Kq"]).all() and env.reference().setpoint.size == 11
     for _ in range(11):
         env.step(np.zeros((3, 2)))
-    assert (env.pairs["Kq"] == 0.4).all() and env.course().setpoint.size == 6
+    assert (env.pairs["Kq"] == 0.4).all() and env.reference().setpoint.size == 6
     assert env._rollout.deviation.all()
     env.use_options()
     for _ in range(6):
         env.step(np.zeros((3, 2)))
-    assert (env.pairs["Kq"] != 0.4).all() and env.course().setpoint.size == 11
+    assert (env.pairs["Kq"] != 0.4).all() and env.reference().setpoint.size == 11
     for options, told in (
         ({"mismatch": {"command_delay.delay": 0.01}}, "lacks command_delay"),
         ({"case": 1, "x": 2}, "'x'"),

@@ -98,7 +98,7 @@ def test_seeds_and_options():
     env.reset()
     for _ in range(601):
         env.step(np.zeros((3, 2)))
-    assert env.batch.course(0).setpoint.size == 11
+    assert env.batch.reference(0).setpoint.size == 11
     env.set_options([{"case": [9, 9, 9]}, {}, {"case": [9, 9, 9]}])
     env.reset()
     assert [info["case"] for info in env.reset_infos][::2] == [9, 9]

@@ -134,7 +134,7 @@ def test_a_log_is_dropped_in_diagnosed_and_its_report_opened(opened: Any) -> Non
     session = Session(Settings(preset="paper", split="own", scenario="setpoint_steps"))
     session.record()
     for _ in range(900):
-        session.advance()
+        session.step()
     session.stop_recording()
     files = opened.locator("input[type=file]")
     files.set_input_files([{"name": "a.exe", "mimeType": "", "buffer": b"1"}])

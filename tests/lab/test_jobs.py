@@ -22,7 +22,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     session = Session(Settings(preset="paper", split="own", scenario="setpoint_steps"))
     session.record()
     for _ in range(900):
-        session.advance()
+        session.step()
     session.stop_recording()
     path: Path = tmp_path_factory.mktemp("logs") / "log.csv"
     path.write_text(session.finished_log)

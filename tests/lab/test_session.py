@@ -23,7 +23,7 @@ NUMBER = 3
 
 def run(session: Session, seconds: float) -> np.ndarray:
     for _ in range(round(seconds * 100)):
-        session.advance()
+        session.step()
     return session.snapshot().past
 
 
@@ -60,7 +60,7 @@ def test_controllers_take_over_while_it_runs() -> None:
     for name in ("cross_coupled", "gru", "oracle", "pid_paper", "probing_flow"):
         session.choose_controller(name)
         before = session.snapshot().now["speed_1_rpm"]
-        session.advance()
+        session.step()
         assert abs(session.snapshot().now["speed_1_rpm"] - before) < 30.0, name
         run(session, 2.0)
         now = session.snapshot()
@@ -100,7 +100,7 @@ def test_a_load_acts_on_its_motor_and_adds_to_the_scenario() -> None:
     past = run(session, 0.1)
     assert past[-1, 2] < 290.0 and past[-1, 3] == pytest.approx(300.0, abs=8.0)
     session.choose_scenario("load_step")
-    session.advance()
+    session.step()
     np.testing.assert_allclose(session.snapshot().load_Nm, (0.8, 0.0))
 
 
@@ -181,7 +181,7 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(change, word: str) -> No
     with pytest.raises(InputError, match=word):
         change(session)
     assert session.settings == before
-    session.advance()
+    session.step()
 
 
 def test_a_controller_that_fails_is_stopped_and_named(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ class Attempt:
 
 def test_a_controller_follows_the_set_point_and_leaves_a_clean_log(rig: Rig, tmp_path: Path) -> None:
     """Both signs of the link are other ones than the model's: a wrong one would run away."""
-    scenario = tmp_path / "course.yaml"
+    scenario = tmp_path / "profile.yaml"
     scenario.write_text("{duration: 5.6, setpoint_rpm: [[0.2, 150], [2.9, -100]]}")
     link, limit = rig.link(), 0.5
     driver = controlled(GENTLE, link, load_model("paper_dead_zone"), str(scenario), (limit, link.rate_limit))

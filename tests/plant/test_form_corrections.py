@@ -19,7 +19,7 @@ COMMAND = np.column_stack([40.0 * np.sin(9.0 * TIME), 25.0 * np.sign(np.sin(7.0 
 
 #: One kernel for all runs here: what is compiled in and neutral changes nothing.
 ALL = (*SHAPES, *CORRECTIONS)
-PLAYS = ("input_hysteresis", "play_shape")
+PLAYS = ("input_hysteresis", "play_form")
 
 
 def _run(model: object, effects: tuple[str, ...] = ALL) -> dict[str, np.ndarray]:
@@ -63,7 +63,7 @@ def test_corrections_are_no_effects_that_a_rig_is_known_to_have() -> None:
 
 
 def test_a_rounded_corner_is_a_parabola_within_the_rounding() -> None:
-    law = CATALOGUE["corner_shape"].laws["opening"]
+    law = CATALOGUE["corner_form"].laws["opening"]
     at = {"rounding": 1e-5, "turn": 1.0, "corner_positive": 1e-4, "corner_negative": 8e-5}
     assert law(0.0, 1e-4, **at) == pytest.approx(2.5e-6)
     assert law(0.0, -8e-5, **at) == pytest.approx(-2.5e-6)
@@ -71,7 +71,7 @@ def test_a_rounded_corner_is_a_parabola_within_the_rounding() -> None:
 
 
 def test_a_gain_curve_goes_through_its_knots_and_between_them_as_the_logarithm() -> None:
-    law = CATALOGUE["opening_shape"].laws["opening"]
+    law = CATALOGUE["opening_form"].laws["opening"]
     gains = {f"gain_{n}": value for n, value in enumerate((2.1, 1.5, 1.1, 0.6, 0.3, 0.1, 0.0))}
     valve = {"alpha": 2.0, "u_rated": 5.0, "R": 4.0, "k": 2.5}
     rated = 2.0 * 5.0 / (4.0 * 2.5)
@@ -89,18 +89,18 @@ def test_a_gain_curve_goes_through_its_knots_and_between_them_as_the_logarithm()
 
 def test_a_model_file_carries_a_correction(tmp_path: Path) -> None:
     values = {
-        "dead_zone.overlap_positive": (1e-4, 0.0), "corner_shape.corner_positive": (1e-4, 0.0),
-        "corner_shape.rounding": (1e-5, 0.0), "opening_shape.gain_3": (0.05, 0.0),
+        "dead_zone.overlap_positive": (1e-4, 0.0), "corner_form.corner_positive": (1e-4, 0.0),
+        "corner_form.rounding": (1e-5, 0.0), "opening_form.gain_3": (0.05, 0.0),
     }  # fmt: skip
     model = load_model("paper").with_values(values)
     model.to_yaml(tmp_path / "model.yaml")
     again = load_model(tmp_path / "model.yaml")
-    assert again.value("corner_shape.rounding", 0) == 1e-5 and again.value("opening_shape.gain_3", 0) == 0.05
+    assert again.value("corner_form.rounding", 0) == 1e-5 and again.value("opening_form.gain_3", 0) == 0.05
     np.testing.assert_array_equal(_run(model)["speed"], _run(again)["speed"])
 
 
 def test_a_coupling_passes_what_its_damper_corrected_by_a_curve_gives() -> None:
-    shape = CATALOGUE["coupling_shape"]
+    shape = CATALOGUE["coupling_form"]
     knots = {"damper_1": 0.3, "damper_2": 0.2, "damper_3": -0.5}
     at = {"speed": 3.0, "load_speed": 1.0, "gap": 0.02, "stiffness": 200.0, "damping": 0.4}
     for wound, damper in (
@@ -121,7 +121,7 @@ def test_a_coupling_passes_what_its_damper_corrected_by_a_curve_gives() -> None:
 
 
 def test_an_edge_is_laminar_at_small_pressure_drops_and_passes_back() -> None:
-    law, full = CATALOGUE["orifice_shape"].laws["flow"], 0.5 * 3e-4
+    law, full = CATALOGUE["orifice_form"].laws["flow"], 0.5 * 3e-4
 
     def passed(drive: float, transition: float = 0.0, laminar: float = 0.0) -> float:
         flow = full * np.sqrt(max(drive, 0.0))
@@ -139,7 +139,7 @@ def test_an_edge_is_laminar_at_small_pressure_drops_and_passes_back() -> None:
 
 
 def test_a_knee_lacks_most_at_the_limit() -> None:
-    law = CATALOGUE["knee_shape"].laws["voltage"]
+    law = CATALOGUE["knee_form"].laws["voltage"]
     at = {"drop": 0.03, "reach": 0.2, "voltage_limit": 40.0}
     assert law(40.0, 40.0, **at) == pytest.approx(40.0 - 1.2)
     assert law(-40.0, -60.0, **at) == -40.0 and law(30.0, 30.0, **at) == 30.0
@@ -147,8 +147,8 @@ def test_a_knee_lacks_most_at_the_limit() -> None:
 
 
 def test_stops_hold_the_height_of_the_loop_and_survive_a_jump_of_the_command() -> None:
-    sizes = {"magnetic_hysteresis.amplitude": 0.3, "stop_shape.amplitude": 0.3}
-    sizes |= {f"stop_shape.height_{n}": 0.25 for n in (1, 2, 3, 4)}
+    sizes = {"magnetic_hysteresis.amplitude": 0.3, "stop_form.amplitude": 0.3}
+    sizes |= {f"stop_form.height_{n}": 0.25 for n in (1, 2, 3, 4)}
     model = load_model("paper").with_values(sizes)
     command = np.repeat([73.0, -73.0, 20.0, -73.0, 0.0], 100)[:, None] * np.ones(2)
     coarse, fine = (
@@ -156,7 +156,7 @@ def test_stops_hold_the_height_of_the_loop_and_survive_a_jump_of_the_command() -
     )
     assert np.sqrt(np.mean((coarse["speed"] - fine["speed"]) ** 2)) < 0.05
     # At its ends, where all stops have given way, the loop is as high as the effect's own.
-    law = CATALOGUE["stop_shape"].laws["force"]
+    law = CATALOGUE["stop_form"].laws["force"]
     heights = {f"height_{n}": 0.25 for n in (1, 2, 3, 4)}
     ends = {**{f"stop_{n}": 1.0 for n in (1, 2, 3, 4)}, "as_before": 1.0}
     assert law(9.7, amplitude=0.3, **heights, **ends) == 9.7
@@ -164,22 +164,22 @@ def test_stops_hold_the_height_of_the_loop_and_survive_a_jump_of_the_command() -
 
 
 def test_the_second_bristle_takes_over_what_the_first_one_had_more() -> None:
-    repeated = follows("bristle_shape", "spool_stiction")
-    assert repeated["bristle_shape.coulomb_taken"] == "-spool_stiction.coulomb"
+    repeated = follows("bristle_form", "spool_stiction")
+    assert repeated["bristle_form.coulomb_taken"] == "-spool_stiction.coulomb"
     more = {"spool_stiction.coulomb": 0.3, "spool_stiction.static": 0.6}
     own = {"coulomb": 0.3, "static": 0.6, "coulomb_taken": -0.3, "static_taken": -0.6}
-    taken = {f"bristle_shape.{n}": v for n, v in own.items()}
+    taken = {f"bristle_form.{n}": v for n, v in own.items()}
     slow = np.column_stack([12.0 * np.sin(3.0 * TIME)] * 2)
     one, two, none = (
         simulate(load_model("paper").with_values(v), slow, None, 1e-3, record=("spool",))["spool"]
-        for v in (more, {**more, **taken, "bristle_shape.damping": 0.5}, {})
+        for v in (more, {**more, **taken, "bristle_form.damping": 0.5}, {})
     )
     # Nearly the same friction in motion, which is far from none.
     assert np.sqrt(np.mean((one - two) ** 2)) < 0.25 * np.sqrt(np.mean((one - none) ** 2))
 
 
 def test_the_second_bristle_holds_up_to_a_share_of_its_limit_and_gives_way_at_it() -> None:
-    (state,) = CATALOGUE["bristle_shape"].states
+    (state,) = CATALOGUE["bristle_form"].states
     at = {"coulomb": 0.2, "static": 0.4, "firm": 0.6, "stiffness": 0.5, "vs": 0.01, "s0": 1e5}
     speed = 0.02
     for stribeck in (1.0, 3.0):
@@ -198,7 +198,7 @@ def test_three_plays_make_a_loop_of_the_same_mean_width_that_opens_little_by_lit
     time = np.arange(2000) * 1e-3
     ramps = np.column_stack([40.0 * np.interp(time, [0.0, 0.5, 1.5, 2.0], [0.0, 1.0, -1.0, 0.0])] * 2)
     still = {"R": 1e3, "input_hysteresis.width": 6.0}
-    shape = {"play_shape.width": 6.0, "play_shape.spread": 0.5}
+    shape = {"play_form.width": 6.0, "play_form.spread": 0.5}
     one, three = (
         simulate(load_model("paper").with_values(v), ramps, None, 1e-3, record=("current",), effects=PLAYS)[
             "current"
@@ -215,8 +215,8 @@ def test_three_plays_make_a_loop_of_the_same_mean_width_that_opens_little_by_lit
 @pytest.mark.parametrize(
     ("effect", "shape", "sizes"),
     [
-        ("sensor_lag", "sensor_shape", {"time_constant": 0.03}),
-        ("supply_droop", "supply_shape", {"time_constant": 0.2, "relative_drop": 0.5}),
+        ("sensor_lag", "sensor_form", {"time_constant": 0.03}),
+        ("supply_droop", "supply_form", {"time_constant": 0.2, "relative_drop": 0.5}),
     ],
 )
 def test_two_lags_delay_as_much_as_the_one_that_they_replace(
@@ -240,7 +240,7 @@ def test_two_lags_delay_as_much_as_the_one_that_they_replace(
 
 @pytest.mark.parametrize("travel", [1.5e-6, 6e-6, 6e-5])
 def test_a_preload_takes_hold_over_the_travel_of_its_correction(travel: float) -> None:
-    effect, correction = CATALOGUE["spring_preload"].laws["force"], CATALOGUE["preload_shape"].laws["force"]
+    effect, correction = CATALOGUE["spring_preload"].laws["force"], CATALOGUE["preload_form"].laws["force"]
     for spool in (-3e-5, -2e-6, 0.0, 1e-6, 2e-4):
         force = correction(effect(9.0, spool, preload=2.0), spool, travel=travel, preload=2.0)
         assert force == pytest.approx(9.0 - 2.0 * np.tanh(spool / travel), rel=1e-4)
@@ -249,20 +249,20 @@ def test_a_preload_takes_hold_over_the_travel_of_its_correction(travel: float) -
 @pytest.mark.parametrize(
     "values",
     [
-        {"spring_preload.preload": 3.0, "preload_shape.preload": 3.0, "preload_shape.travel": 3e-6},
+        {"spring_preload.preload": 3.0, "preload_form.preload": 3.0, "preload_form.travel": 3e-6},
         {
-            "spool_stiction.coulomb": 0.3, "spool_stiction.static": 0.5, "bristle_shape.coulomb": 0.3,
-            "bristle_shape.static": 0.5, "bristle_shape.coulomb_taken": -0.3, "bristle_shape.static_taken": -0.5,
-            "bristle_shape.damping": 1.0, "bristle_shape.firm": 0.6,
+            "spool_stiction.coulomb": 0.3, "spool_stiction.static": 0.5, "bristle_form.coulomb": 0.3,
+            "bristle_form.static": 0.5, "bristle_form.coulomb_taken": -0.3, "bristle_form.static_taken": -0.5,
+            "bristle_form.damping": 1.0, "bristle_form.firm": 0.6,
         },
-        {"pressure_dependent_flow.supply_pressure": 10e5, "orifice_shape.transition": 0.01},
+        {"pressure_dependent_flow.supply_pressure": 10e5, "orifice_form.transition": 0.01},
     ],
     ids=["preload", "bristle", "orifice"],
 )  # fmt: skip
 def test_sharp_forms_are_followed(values: dict[str, float]) -> None:
     """A second bristle that takes all friction from the first needs half the tolerance for that."""
     model = load_model("paper").with_values(values)
-    own = model.tolerance / 2.0 if "bristle_shape.firm" in values else None
+    own = model.tolerance / 2.0 if "bristle_form.firm" in values else None
     command = np.repeat(73.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (30, 2)), 50, axis=0)
     coarse, fine = (
         simulate(model, command, None, 1e-3, record=("speed",), tolerance=t)["speed"] for t in (own, 1e-4)
@@ -272,7 +272,7 @@ def test_sharp_forms_are_followed(values: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.125, 0.25, 0.5, 1.0, 1.3])
 def test_a_leak_is_bent_between_an_eighth_and_half_the_supply(share: float) -> None:
-    effect, supply, conductance = CATALOGUE["leak_shape"], 8e6, 5e-12
+    effect, supply, conductance = CATALOGUE["leak_form"], 8e6, 5e-12
     gains = {"leak_0": 0.8, "leak_1": 0.5, "leak_2": 0.2}
     at = {**gains, "conductance": conductance, "supply_pressure": supply}
     gain = {0.0: 0.8, 0.125: 0.8, 0.25: 0.5, 0.5: 0.2, 1.0: 0.0, 1.3: 0.0}[share]
@@ -285,7 +285,7 @@ def test_a_leak_is_bent_between_an_eighth_and_half_the_supply(share: float) -> N
     assert rate * supply / 2.0 == pytest.approx(-1.2e9 / 2e-5 * more / 2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["bristle_shape", "override_shape", "leak_shape", "orifice_shape"])
+@pytest.mark.parametrize("name", ["bristle_form", "override_form", "leak_form", "orifice_form"])
 def test_no_end_of_a_correction_breaks_it(name: str) -> None:
     """A bristle that takes more friction than there is, a relief valve whose flow falls with the pressure, and any leak."""
     parameters = CATALOGUE[name].parameters

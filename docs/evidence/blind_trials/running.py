@@ -186,15 +186,15 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
             ).as_dict()
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
     hidden = by_channel(truth["effects"])
-    tried = [t for t in data["trials"] if t["refitted"] and t["gain"] > 0.5 * t["needed"]]
+    tried = [t for t in data["candidates"] if t["refitted"] and t["gain"] > 0.5 * t["needed"]]
     visible = [data["detectable"].get(name, {}).get(c) for name, c in hidden]
     return {
         **asdict(case), "sizes": _sizes(truth), **judge(data, hidden, truth["verdict"], case.unlisted, form),
         "covered": covered(data, truth), "strength": form.get("strength"), "rules_off": [*how.rules_off, *how.constants],
         "visible": all(v is not False for v in visible), "seconds": round(seconds, 1), "cpu_s": round(cpu_s, 1),
         "jobs": how.jobs, "gap": data["gap"]["sealed"], "effects": data["effects"], "method": method(),
-        "corrections": [[k["correction"], k["channel"]] for k in data.get("shape_corrections", [])],
-        "tried": [[t["effect"], t["channel"], t["gain"], t["needed"], t["fate"]] for t in tried],
+        "corrections": [[k["correction"], k["channel"]] for k in data.get("form_corrections", [])],
+        "tried": [[t["effect"], t["channel"], t["gain"], t["needed"], t["outcome"]] for t in tried],
     }  # fmt: skip
 
 

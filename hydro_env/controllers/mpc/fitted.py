@@ -86,7 +86,7 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     answer = SHARES["damp"] / late * max(cos(min(swings * late, pi)), 0.0)  # of the pressure by its feedback,
     settles = answer + motor.leakage * NOMINAL["Km"] / oil  # and with the leakage
     motor = replace(motor, damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
-    most = _most_feedback(settles, swings, late)
+    most = _max_feedback(settles, swings, late)
     push = SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"]
     return FlowSettings(
         motor=motor,
@@ -145,7 +145,7 @@ def _spool(model: PlantModel) -> SpoolSettings:
     return min((of(0), of(1)), key=lambda spool: spool.rate)
 
 
-def _most_feedback(settles: float, swings: float, late: float) -> float:
+def _max_feedback(settles: float, swings: float, late: float) -> float:
     """Acceleration per error of the speed, 1/s, with which the loop would just swing on: that of a motor behind a delay (s) which
     swings at the rate `swings` and whose pressure settles at the rate `settles`, both 1/s."""
     s = 1j * np.geomspace(0.1, 20.0, 2000) / late

@@ -4,7 +4,7 @@ A plan holds the commands of the next few control periods and is improved in eve
 a model of spools, valves and motors (direct single shooting; Diehl et al., Real-time optimization, J. Process Control 12, 2002).
 The motor follows its flow by (1) and (2). The cost adds up
 
-* the speed differences at the control instants squared, beyond `corner` more than squared
+* the speed differences at the control instants squared, beyond `soft_limit` more than squared
 * how far the mean of both speeds is from its aim, squared
 * the moves of the commands squared
 * what is left of the spool's swing about the last command, squared
@@ -47,7 +47,9 @@ class PlannerSettings:
     apart: float = setting(300.0, "1", "of the squared speed difference", TUNED)
     moves: float = setting(650.0, "rad2/s2", "of the squared moves of a command", TUNED)
     swing: float = setting(3000.0, "rad2/s2", "of the squared swing at the end", TUNED)
-    corner: float = setting(14.0 * RPM, "rad/s", "difference where its cost exceeds its square", TUNED)
+    soft_limit: float = setting(
+        14.0 * RPM, "rad/s", "speed difference beyond which its cost grows faster than its square", TUNED
+    )
     turns: int = setting(3, "1", "steps of Gauss and Newton a period", HAND)
     behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
     ahead: float = setting(30.0 * RPM, "rad/s", "no farther are the speeds asked to move at once", TUNED)
@@ -209,7 +211,7 @@ def cost_of(plan, i, s, w, m, work):
         one, two = work.speeds[0, k], work.speeds[1, k]
         apart, off = one - two, 0.5 * (one + two) - s.aim[i, k]
         square = apart * apart
-        total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * off * off
+        total += w.apart * square * (1.0 + 0.5 * square / (w.soft_limit * w.soft_limit)) + 2.0 * off * off
     return total
 
 
@@ -223,7 +225,7 @@ def normal_equations(plan, i, s, w, m, work):
     for k in range(1, HORIZON + 1):
         apart = work.speeds[0, k] - work.speeds[1, k]
         off = 0.5 * (work.speeds[0, k] + work.speeds[1, k]) - s.aim[i, k]
-        weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
+        weight = w.apart * (1.0 + apart * apart / (w.soft_limit * w.soft_limit))
         for c in range(2):
             sign = 1.0 - 2.0 * c
             for j in range(k):

@@ -81,7 +81,7 @@ class Reference:
         """One period towards the set-point (num_rigs,). `speed`, `torque` (num_rigs, 2): of the motors. Where it `coasts`,
         it goes on as a motor without flow does, where it `rests`, at the motors' speed."""
         readings = np.ascontiguousarray(setpoint), np.ascontiguousarray(speed), torque
-        _advance(self._numbers, self._growth, self._channel, *readings, valves, coasts, rests, self.state)
+        _step(self._numbers, self._growth, self._channel, *readings, valves, coasts, rests, self.state)
 
 
 @compiled
@@ -91,7 +91,7 @@ def capacity(gain, edge):
 
 
 @compiled
-def _advance(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
+def _step(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
     for i in range(setpoint.size):
         motors = (speed[i, 0] + speed[i, 1]) / 2.0
         mean_load = (torque[i, 0] + torque[i, 1]) / 2.0

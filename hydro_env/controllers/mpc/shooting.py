@@ -3,7 +3,7 @@
 A plan holds the commands of the next few control periods. What comes of it is simulated elsewhere; how that changes
 with the plan is taken from the linear parts of valve and motor. A cost is to become small that adds up
 
-* the tracking errors at the control instants, squared up to about `CORNER`, in proportion beyond: as the mean absolute
+* the tracking errors at the control instants, squared up to about `HUBER_SCALE`, in proportion beyond: as the mean absolute
   error counts them
 * the speed differences squared, at the control instants and, lighter (`BETWEEN`), between them: left alone there, commands
   that swing to and fro keep the motors in step at every instant and end at the stops
@@ -30,7 +30,7 @@ HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 END = HORIZON * SAMPLES
 """Last sample of a plan."""
-CORNER = 2.0
+HUBER_SCALE = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, on a rig with the paper's speeds."""
 EVERY, BETWEEN = 2, 200.0
 """Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand."""
@@ -53,7 +53,7 @@ class Task:
     margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, END + 1): a spool's travel in m after a
     command of 1 over the first period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the
     mean travel. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
-    corner (N,): `CORNER` of the rig.
+    huber_scale (N,): `HUBER_SCALE` of the rig.
     """
 
     sent: Floats
@@ -65,7 +65,7 @@ class Task:
     difference: Floats
     smooth: Floats
     stops: Floats
-    corner: Floats
+    huber_scale: Floats
 
     def of(self, rows: NDArray[np.int64]) -> Task:
         """That of some rigs."""
@@ -78,8 +78,8 @@ def cost(plan: Floats, motion: Floats, task: Task) -> Floats:
     beyond, tracking, apart, weight = _errors(motion, task)
     moves = np.diff(plan, axis=1, prepend=task.sent[:, None])
     total = 0.5e6 * task.stops * _sums(beyond**2)
-    corner = task.corner[:, None, None]
-    total += task.corner**2 * _sums(np.sqrt(1.0 + (tracking / corner) ** 2) - 1.0)
+    huber_scale = task.huber_scale[:, None, None]
+    total += task.huber_scale**2 * _sums(np.sqrt(1.0 + (tracking / huber_scale) ** 2) - 1.0)
     total += 0.5 * _sums(weight * apart**2) + 0.5 * task.smooth * _sums(moves**2)
     return total
 
@@ -94,7 +94,7 @@ def improve(plan: Floats, motion: Floats, damping: Floats, task: Task) -> Floats
     square = np.zeros((n, 2, HORIZON, 2, HORIZON))
     slope = np.zeros((n, 2, HORIZON))
     stops = 1e6 * task.stops[:, None, None] * (beyond != 0.0)
-    robust = 1.0 / np.sqrt(1.0 + (tracking / task.corner[:, None, None]) ** 2)
+    robust = 1.0 / np.sqrt(1.0 + (tracking / task.huber_scale[:, None, None]) ** 2)
     for errors, weights, changes in (
         (beyond, stops, travel[:, :, 1:]),
         (tracking, robust, turned[:, :, _INSTANTS]),

@@ -147,11 +147,11 @@ class Fit:
         by power what is small everywhere counts little, such as the ripple that a steady model leaves.
         """
         old, new = (sum(self.levels(p.simulated[channel], channel).values()) for p in (before, after))
-        by_level = new < SMALL_SUM or new < (1.0 - self.settings.most_of_level) * old
+        by_level = new < SMALL_SUM or new < (1.0 - self.settings.level_share) * old
         was, left = (self.rms(p.simulated[channel], channel) for p in (before, after))
         noise = {k: self.noise[channel, k[1]] for k in left}
         excess = {k: left[k] ** 2 - noise[k] ** 2 for k in left if left[k] > CLEARLY_ABOVE * noise[k]}
-        left_share = 1.0 - self.settings.most_of_power
+        left_share = 1.0 - self.settings.power_share
         by_power = all(e < left_share * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
         return by_level or by_power
 

@@ -52,7 +52,7 @@ class Candidate:
     def as_dict(self) -> dict[str, object]:
         return {
             "effect": self.effect, "channel": self.where, "round": self.round, "gain": round(float(self.gain), 1),
-            "needed": round(float(self.needed), 1), "refitted": self.refitted, "fate": self.outcome,
+            "needed": round(float(self.needed), 1), "refitted": self.refitted, "outcome": self.outcome,
         }  # fmt: skip
 
 

@@ -100,8 +100,8 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
     """Why what was named is not confirmed although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, the proofs are with both. The held-out logs judge here and
-    choose nothing. Where estimates that the fit logs cannot distinguish (`predictions_apart`) give courses that differ by more
-    than what is left of a signal, that residual speaks against no name.
+    choose nothing. Where estimates that the fit logs cannot distinguish (`predictions_apart`) give trajectories which differ
+    by more than what is left of a signal, that residual speaks against no name.
     """
     found: list[str] = []
     for c in dict.fromkeys(k.channel for k in accepted if k.channel is not None):

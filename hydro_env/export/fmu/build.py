@@ -97,7 +97,7 @@ def _write(
 ) -> list[str]:
     """Writes one FMU; the platforms for which there is a binary in it."""
     wrapper = (HERE / f"fmi{version}.c").read_text(encoding="utf-8")
-    most = f", and at most {source.most_sent} changes of command under way" if source.most_sent else ""
+    most = f", and at most {source.max_sent} changes of command under way" if source.max_sent else ""
     digest = hashlib.sha256("\n".join([source.header, source.body, wrapper, identifier]).encode()).digest()
     token = f"{{{uuid.UUID(bytes=digest[:16])}}}"
     model_header = template("model.h").substitute(

@@ -30,8 +30,8 @@ def _second_rate(second, first, time_constant, share):
     return (first - second) / (lag if lag > 1e-5 else 1e-5)
 
 
-SUPPLY_SHAPE = correction(
-    "supply_shape", "supply", "the supply follows the flow with two lags of the same sum",
+SUPPLY_FORM = correction(
+    "supply_form", "supply", "the supply follows the flow with two lags of the same sum",
     (fitted("share", "1", 0.0, 0.0, 0.5, "share of the memory in the second lag", 0.2),),
     {"drive": _late_drive},
     {"supply_droop": {}},
@@ -51,8 +51,8 @@ def _softness_curve(bulk_modulus, pressure, soft_0, soft_1, soft_2, soft_3, soft
     return bulk_modulus * exp(-curve)
 
 
-SOFTNESS_SHAPE = correction(
-    "softness_shape", "line", "softness of the fluid as a curve over the pressure",
+SOFTNESS_FORM = correction(
+    "softness_form", "line", "softness of the fluid as a curve over the pressure",
     tuple(
         amount(f"soft_{n}", "1", 0.15, f"log of the relative softness at {p:g} bar") for n, p in enumerate((0, 1, 2.5, 6, 20))
     ),
@@ -73,8 +73,8 @@ def _override(leakage, pressure, rounding, steepening, relief_pressure, conducta
     return leakage + sign(pressure) * conductance * more
 
 
-OVERRIDE_SHAPE = correction(
-    "override_shape", "line", "relief valves crack gradually, and their slope changes with the excess",
+OVERRIDE_FORM = correction(
+    "override_form", "line", "relief valves crack gradually, and their slope changes with the excess",
     (
         amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
         fitted("steepening", "1/MPa", 0.0, -0.5, 2.0, "growth of the slope with the excess", 0.3),
@@ -111,8 +111,8 @@ def _drained_by_curve(
     return -bulk_modulus / (4.0 * V) * abs(conductance) * share * curve
 
 
-LEAK_SHAPE = correction(
-    "leak_shape", "line", "the leak from a line as a curve over its pressure",
+LEAK_FORM = correction(
+    "leak_form", "line", "the leak from a line as a curve over its pressure",
     (
         *(
             fitted(f"leak_{n}", "1", 0.0, -0.8, 3.0, f"relative leak at {x} of half the supply pressure", 0.2)
@@ -140,8 +140,8 @@ def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_
     return torque - sign(speed) * curve
 
 
-TORQUE_SHAPE = correction(
-    "torque_shape", "motor", "torque that is lost as a curve over the speed",
+TORQUE_FORM = correction(
+    "torque_form", "motor", "torque that is lost as a curve over the speed",
     tuple(
         amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s", scaling=MOTOR_SIZE)
         for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
@@ -164,8 +164,8 @@ def _rest_rate(rest, speed, travel):
     return (speed - abs(speed) * rest) / (travel if travel > 1e-5 else 1e-5)
 
 
-REST_SHAPE = correction(
-    "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
+REST_FORM = correction(
+    "rest_form", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
     (
         amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
         fitted("damping", "s", 0.002, 0.0, 0.02, "damping while it builds up, over the friction", 0.002),
@@ -190,8 +190,8 @@ def _more_ripple(displacement, angle, sine_1, cosine_2, sine_2, cosine_3, sine_3
     return displacement + D * more
 
 
-RIPPLE_SHAPE = correction(
-    "ripple_shape", "motor", "phase and harmonics of the ripple of the displacement",
+RIPPLE_FORM = correction(
+    "ripple_form", "motor", "phase and harmonics of the ripple of the displacement",
     (
         *(
             amount(n, "1", 0.01, f"{'co' * n.startswith('co')}sine of {n[-1]} times the ripple's order")
@@ -212,8 +212,8 @@ def _more_turns(torque, angle, cosine_2, sine_2, cosine_3, sine_3):
     return torque - (cosine_2 * c2 + sine_2 * s2 + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s))
 
 
-TURNING_SHAPE = correction(
-    "turning_shape", "load", "harmonics of a torque that turns with the shaft",
+TURNING_FORM = correction(
+    "turning_form", "load", "harmonics of a torque that turns with the shaft",
     tuple(
         amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle", scaling=MOTOR_SIZE)
         for n in ("cosine_2", "sine_2", "cosine_3", "sine_3")
@@ -232,8 +232,8 @@ def _second_drift_friction(viscous_friction, more, time, time_constant):
     return viscous_friction * drifted(more, time, time_constant)
 
 
-DRIFT_SHAPE = correction(
-    "drift_shape", "fluid", "a second, faster or slower part of the drift",
+DRIFT_FORM = correction(
+    "drift_form", "fluid", "a second, faster or slower part of the drift",
     (
         amount("more", "1", 0.2, "log of final over initial viscosity, second part"),
         fitted("time_constant", "s", 3.0, 0.3, 3000.0, "time constant of the second part", 3.0, log=True),
@@ -254,8 +254,8 @@ def _first_lag(first, speed, time_constant, share):
     return (speed - first) / (lag if lag > 1e-5 else 1e-5)
 
 
-SENSOR_SHAPE = correction(
-    "sensor_shape", "sensor", "the sensor follows with two lags of the same sum",
+SENSOR_FORM = correction(
+    "sensor_form", "sensor", "the sensor follows with two lags of the same sum",
     (fitted("share", "1", 0.0, 0.0, 0.5, "share of the lag in the second filter", 0.2),),
     {"measured_speed": _late_speed},
     {"sensor_lag": {}},
@@ -295,8 +295,8 @@ def _load_behind_damper(
     return more / inertia if inertia > 0.0 else 0.0
 
 
-COUPLING_SHAPE = correction(
-    "coupling_shape", "load", "the damper of a coupling as a curve over its winding",
+COUPLING_FORM = correction(
+    "coupling_form", "load", "the damper of a coupling as a curve over its winding",
     tuple(
         amount(f"damper_{n}", "1", 0.3, f"relative damping more at a winding of {w} mrad")
         for n, w in enumerate((2, 7, 50), 1)
@@ -310,6 +310,6 @@ COUPLING_SHAPE = correction(
 
 #: In the order in which they act.
 EFFECTS = (
-    SUPPLY_SHAPE, SOFTNESS_SHAPE, OVERRIDE_SHAPE, LEAK_SHAPE, TORQUE_SHAPE, REST_SHAPE, RIPPLE_SHAPE, TURNING_SHAPE,
-    DRIFT_SHAPE, COUPLING_SHAPE, SENSOR_SHAPE,
+    SUPPLY_FORM, SOFTNESS_FORM, OVERRIDE_FORM, LEAK_FORM, TORQUE_FORM, REST_FORM, RIPPLE_FORM, TURNING_FORM,
+    DRIFT_FORM, COUPLING_FORM, SENSOR_FORM,
 )  # fmt: skip

@@ -20,8 +20,8 @@ def _knee(voltage, command, drop, reach, voltage_limit):
     return voltage - sign(command) * (lack if drop > 0.0 else 0.0)
 
 
-KNEE_SHAPE = correction(
-    "knee_shape", "driver", "the driver gives less than is asked for even before its limit",
+KNEE_FORM = correction(
+    "knee_form", "driver", "the driver gives less than is asked for even before its limit",
     (
         amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
         fitted("reach", "1", 0.15, 0.03, 0.6, "share of the limit, both ways, from which on it lacks", 0.15, log=True),
@@ -50,8 +50,8 @@ def _spread_rate(play, command, part, spread, width):
     return (gap - clip(gap, -half, half)) / 1e-4
 
 
-PLAY_SHAPE = correction(
-    "play_shape", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
+PLAY_FORM = correction(
+    "play_form", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
     (
         fitted("spread", "1", 0.0, 0.0, 1.0, "by how much these plays are narrower and wider", 0.4),
         repeated("width", "V", 0.0, 0.0, 1e3),
@@ -74,8 +74,8 @@ def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
     return opening + 0.25 * turn * (near * near - far * far) / (rounding if rounding > 1e-9 else 1e-9)
 
 
-CORNER_SHAPE = correction(
-    "corner_shape", "opening", "corners of the opening are rounded",
+CORNER_FORM = correction(
+    "corner_form", "opening", "corners of the opening are rounded",
     (
         # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
         fitted("rounding", "m", 0.0, 0.0, 3e-4, "half the travel over which a corner is rounded", 1e-5, scaling=SPOOL_TRAVEL),
@@ -108,8 +108,8 @@ def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6,
     return opening * (1.0 + curve)
 
 
-OPENING_SHAPE = correction(
-    "opening_shape", "opening", "gain of the opening as a curve over the logarithm of the opening",
+OPENING_FORM = correction(
+    "opening_form", "opening", "gain of the opening as a curve over the logarithm of the opening",
     tuple(
         # A gain may be several times another; it cannot lose more than all.
         fitted(f"gain_{n}", "1", 0.0, -0.8, 3.0, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2)
@@ -133,8 +133,8 @@ def _orifice(flow, opening, drive, transition, laminar, Kq):
     return flow + (more if transition + laminar > 0.0 else 0.0)
 
 
-ORIFICE_SHAPE = correction(
-    "orifice_shape", "flow", "edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
+ORIFICE_FORM = correction(
+    "orifice_form", "flow", "edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
     (
         # Up to some bar: sharp edges are turbulent from Reynolds numbers of 10 to 260 on (Merritt 1967, ch. 3).
         fitted("transition", "1", 0.0, 0.0, 0.3, "pressure drop over the supply's below which it is laminar", 0.03),
@@ -151,8 +151,8 @@ def _preload_over(force, spool, travel, preload):
     return force - preload * (tanh(spool * (2e-5 / travel) * 5e4) - tanh(spool * 5e4))
 
 
-PRELOAD_SHAPE = correction(
-    "preload_shape", "force", "preload takes hold over less or more travel",
+PRELOAD_FORM = correction(
+    "preload_form", "force", "preload takes hold over less or more travel",
     (
         fitted("travel", "m", 2e-5, 1e-6, 2e-4, "travel over which the preload takes hold", 1e-5, log=True),
         repeated("preload", "N", 0.0, 0.0, 6.0, scaling=SPOOL_FORCE),
@@ -172,8 +172,8 @@ def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
     return force - sign(spool) * curve
 
 
-CENTRING_SHAPE = correction(
-    "centring_shape", "force", "centring force as a curve over the travel",
+CENTRING_FORM = correction(
+    "centring_form", "force", "centring force as a curve over the travel",
     tuple(
         amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel", scaling=SPOOL_FORCE)
         for n, x in enumerate((5, 15, 35, 80, 200), 1)
@@ -207,8 +207,8 @@ _STOPS = (0.25, 0.5, 1.0, 2.0)
 # The loop of the catalogue's law, from which the stops take over.
 (_LOOP,) = MAGNETIC_HYSTERESIS.states
 
-STOP_SHAPE = correction(
-    "stop_shape", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
+STOP_FORM = correction(
+    "stop_form", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
     (
         *(
             amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
@@ -257,8 +257,8 @@ def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stri
     return spool_speed - give * abs(spool_speed) * s0 * stiff / level * bristle_2
 
 
-BRISTLE_SHAPE = correction(
-    "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
+BRISTLE_FORM = correction(
+    "bristle_form", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
         amount("damping", "1", 1.0, "damping of the second bristle over the first one's", 0.0),
         fitted("firm", "1", 0.5, 0.0, 0.95, "share of its limit from which on the second bristle gives way", 0.5),
@@ -282,6 +282,6 @@ BRISTLE_SHAPE = correction(
 
 #: In the order in which they act.
 EFFECTS = (
-    PLAY_SHAPE, KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, ORIFICE_SHAPE, PRELOAD_SHAPE, CENTRING_SHAPE, STOP_SHAPE,
-    BRISTLE_SHAPE,
+    PLAY_FORM, KNEE_FORM, CORNER_FORM, OPENING_FORM, ORIFICE_FORM, PRELOAD_FORM, CENTRING_FORM, STOP_FORM,
+    BRISTLE_FORM,
 )  # fmt: skip

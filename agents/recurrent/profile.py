@@ -18,7 +18,7 @@ def _held(time: Floats, changes: Floats, values: Floats) -> Floats:
     return np.concatenate([[0.0], values])[changes.searchsorted(time, side="right")]
 
 
-def _course(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+def _profile(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
     """More steps than `random_drives` has, from rest and at full speed: what happens within 50 ms of one decides the score."""
     assert stream is not None
     most = int(time[-1] / 0.25) + 2
@@ -46,6 +46,6 @@ TRAINING = Scenario(
     "training_steps",
     "steps from rest and at full speed, some ramps, loads in two of five episodes",
     6.0,
-    _course,
+    _profile,
     random=True,
 )
