@@ -78,11 +78,8 @@ def _trust(found: Confirmed, named: NamedEffect) -> float:
     """The factor on the probability of a name for what it leaves."""
     if found.verdict == "unknown":
         return UNCONFIRMED
-    judged = found.proofs.judged
-    channels = named.channels or judged.rig.channels
-    left = max(e["after"] / e["noise"] for (c, _), e in judged.errors.items() if c in channels)
-    # A reduced model is not held against the noise, which is not all that it leaves out.
-    return INCOMPLETE if judged.rig.has_hidden_states and left > AT_NOISE else 1.0
+    left = found.proofs.left(named.channels or found.proofs.judged.rig.channels)
+    return INCOMPLETE if left > AT_NOISE else 1.0
 
 
 def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:

@@ -21,6 +21,7 @@ from ..estimation.estimate import Estimate
 from ..experiment_design import SECONDS, Design, Operation, Question, Trial, best_design, commands_csv
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
+from .validation import AT_NOISE
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -88,11 +89,16 @@ def questions(state: State) -> list[Question]:
 
 
 def operations(state: State) -> dict[int, Operation]:
-    """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
-    if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
+    """What the estimates of channels are to predict of the held-out logs: where nothing is proven, and where names leave more than
+    the noise of them."""
+    if not state.rig.has_hidden_states or state.verdict in ("none", "calibration"):
         return {}
+    channels: Sequence[int] = state.rig.channels
+    if state.verdict == "effects" and not state.best_guess:
+        named = {c for n in state.effects for c in n.channels or channels}
+        channels = [c for c in channels if c in named and state.proofs.left([c]) > AT_NOISE]
     held_out = state.logs.fit.on(state.logs.held_out)
-    found = {c: Operation.of(held_out, state.models.final[c], c) for c in state.rig.channels}
+    found = {c: Operation.of(held_out, state.models.final[c], c) for c in channels}
     return {c: each for c, each in found.items() if each is not None}
 
 
