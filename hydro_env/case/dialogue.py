@@ -146,8 +146,16 @@ def next_question(
     if not may_ask:
         return None, "questions used up"
     names = [n for _, n in shown.apart] if unseen else [n for p in places for n in p.hypotheses]
-    open_ = ", ".join(dict.fromkeys([words.plain(n) for n in names if n != UNKNOWN][:4])) or UNKNOWN
-    what = "best guess, not proven" if found.best_guess else "these logs would not show" if unseen else "open"
+    named = [words.plain(n) for n in names if n != UNKNOWN]
+    open_ = ", ".join(dict.fromkeys(named[:4])) or UNKNOWN
+    what = (
+        "these logs would not show"
+        if unseen
+        else "open"
+        if len(named) != len(places)
+        else "leaves more than the noise"
+    )
+    what = "best guess, not proven" if found.best_guess else what
     question = Question(
         why=f"{what}: {open_}; {why}", commands=None if design is None else file,
         record=[*recorded(found.logs), *filter(None, [shown.sensor])], sensor=shown.sensor,

@@ -50,7 +50,5 @@ class State(Confirmed):
     def best_guess(self) -> bool:
         """Whether the named effects are only the best guess: they leave more of a speed of the held-out logs than its noise
         (`Settings.unexplained`). A reduced model is not held against the noise, which is not all that it leaves out."""
-        if self.verdict != "effects" or not self.rig.has_hidden_states:
-            return False
-        errors, factor = self.proofs.judged.errors, self.logs.fit.settings.unexplained
-        return any(e["after"] > factor * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
+        unexplained = self.proofs.left(self.rig.channels, ["speed"]) > self.logs.fit.settings.unexplained
+        return self.verdict == "effects" and unexplained

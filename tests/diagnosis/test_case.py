@@ -29,6 +29,7 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.naming import PARAMETERS, UNKNOWN, NamedEffect
 from hydro_env.diagnosis.stages.next_experiment import CALIBRATION, PARTED, NextExperiment
+from hydro_env.diagnosis.stages.validation import AT_NOISE
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import CATALOGUE, load_model
@@ -313,6 +314,28 @@ def test_what_the_logs_would_not_show_is_asked_for(tmp_path: Path) -> None:
     make_practice(**settings, play=tmp_path / "q.csv").write(tmp_path / "answer")
     second = diagnose([*logs, tmp_path / "answer" / "played.csv"], sealed, model=model)
     assert [(e.name, e.channel) for e in second.effects] == [("driver_saturation", "2")]
+
+
+@pytest.mark.slow
+def test_a_name_that_leaves_more_than_the_noise_is_asked_about(tmp_path: Path) -> None:
+    """One wrong name, and nothing competes: an experiment that shows what the model does not predict finds the right one."""
+    settings: dict[str, Any] = {
+        "effects": ["flow_force:1"], "base_error": 0.15, "severity": "medium", "duration": 6.0, "rate": 500.0,
+        "seed": 670006,
+    }  # fmt: skip
+    make_practice(**settings, runs=("fit_2", "sealed")).write(tmp_path)
+    logs, sealed, model = [tmp_path / "fit_2.csv"], [tmp_path / "sealed.csv"], tmp_path / "model.yaml"
+    first = diagnose(logs, sealed, model=model)
+    (wrong,) = first.effects
+    assert (
+        wrong.name != "flow_force" and wrong.probability < dialogue.SURE and first.proofs.left([0]) > AT_NOISE
+    )
+    question, closed = dialogue.next_question(first, places_of(first), shown(first, {}), "q.csv", True)
+    assert closed is None and question is not None and question.why.startswith("leaves more than the noise")
+    (tmp_path / "q.csv").write_text(str(first.next_experiment.csv()) if first.next_experiment else "")
+    make_practice(**settings, play=tmp_path / "q.csv", record=question.record).write(tmp_path / "answer")
+    second = diagnose([*logs, tmp_path / "answer" / "played.csv"], sealed, model=model)
+    assert [(e.name, e.channel) for e in second.effects] == [("flow_force", "1")]
 
 
 def test_costs_of_sensors() -> None:

@@ -124,6 +124,7 @@ def test_what_is_left_above_the_noise_makes_a_name_a_guess(
 
     assert not leaving(4.0).best_guess  # a reduced model leaves out more than noise
     monkeypatch.setattr(found.rig, "has_hidden_states", True)
+    monkeypatch.setattr(proof.rig, "has_hidden_states", True)
     assert not leaving(1.4).best_guess and leaving(1.4).summary().startswith("verdict: effects\n")
     guess = leaving(4.0)
     lines = guess.summary().splitlines()

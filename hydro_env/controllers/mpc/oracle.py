@@ -20,16 +20,7 @@ from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.linear_channel import linear_rates
-from hydro_env.controllers.mpc.shooting import (
-    END,
-    HORIZON,
-    HUBER_SCALE,
-    MIN_DAMPING,
-    SAMPLES,
-    Task,
-    cost,
-    improve,
-)
+from hydro_env.controllers.mpc.shooting import END, HORIZON, HUBER, MIN_DAMPING, SAMPLES, Task, cost, improve
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -83,9 +74,7 @@ class Oracle(Controller):
         speed, travel = self.rig.speed, self.rig.travel
         sizes = {"difference": 1.0, "smooth": speed**2, "stops": (speed / travel) ** 2}
         weights = [size * np.ravel(self.gains[gain]) for gain, size in sizes.items()]
-        self._weights = [
-            np.broadcast_to(each, (n,)).copy() for each in (*weights, np.array(speed * HUBER_SCALE))
-        ]
+        self._weights = [np.broadcast_to(each, (n,)).copy() for each in (*weights, np.array(speed * HUBER))]
         self._plan = np.zeros((n, HORIZON, 2))
         self._sent = np.zeros((n, 2))
         self._row = 0

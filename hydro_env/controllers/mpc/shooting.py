@@ -3,7 +3,7 @@
 A plan holds the commands of the next few control periods. What comes of it is simulated elsewhere; how that changes
 with the plan is taken from the linear parts of valve and motor. A cost is to become small that adds up
 
-* the tracking errors at the control instants, squared up to about `HUBER_SCALE`, in proportion beyond: as the mean absolute
+* the tracking errors at the control instants, squared up to about `HUBER`, in proportion beyond: as the mean absolute
   error counts them
 * the speed differences squared, at the control instants and, lighter (`BETWEEN`), between them: left alone there, commands
   that swing to and fro keep the motors in step at every instant and end at the stops
@@ -30,7 +30,7 @@ HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 END = HORIZON * SAMPLES
 """Last sample of a plan."""
-HUBER_SCALE = 2.0
+HUBER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, on a rig with the paper's speeds."""
 EVERY, BETWEEN = 2, 200.0
 """Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand."""
@@ -53,7 +53,7 @@ class Task:
     margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, END + 1): a spool's travel in m after a
     command of 1 over the first period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the
     mean travel. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
-    huber_scale (N,): `HUBER_SCALE` of the rig.
+    huber_scale (N,): `HUBER` of the rig.
     """
 
     sent: Floats

@@ -78,8 +78,7 @@ def _trust(found: Confirmed, named: NamedEffect) -> float:
     """The factor on the probability of a name for what it leaves."""
     if found.verdict == "unknown":
         return UNCONFIRMED
-    left = found.proofs.left(named.channels or found.proofs.judged.rig.channels)
-    return INCOMPLETE if left > AT_NOISE else 1.0
+    return INCOMPLETE if found.proofs.left(named.channels or (0, 1)) > AT_NOISE else 1.0
 
 
 def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:

@@ -89,14 +89,13 @@ def questions(state: State) -> list[Question]:
 
 
 def operations(state: State) -> dict[int, Operation]:
-    """What the estimates of channels are to predict of the held-out logs: where nothing is proven, and where names leave more than
-    the noise of them."""
+    """What the estimates of channels are to predict of the held-out logs: where nothing is proven, and where names leave more of
+    them than the noise."""
     if not state.rig.has_hidden_states or state.verdict in ("none", "calibration"):
         return {}
     channels: Sequence[int] = state.rig.channels
     if state.verdict == "effects" and not state.best_guess:
-        named = {c for n in state.effects for c in n.channels or channels}
-        channels = [c for c in channels if c in named and state.proofs.left([c]) > AT_NOISE]
+        channels = [c for c in channels if state.proofs.left([c]) > AT_NOISE]
     held_out = state.logs.fit.on(state.logs.held_out)
     found = {c: Operation.of(held_out, state.models.final[c], c) for c in channels}
     return {c: each for c, each in found.items() if each is not None}

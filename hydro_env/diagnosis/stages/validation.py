@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,10 +42,11 @@ class Proofs:
     judged_fit: Proof
     judged: Proof
 
-    def left(self, channels: Sequence[int]) -> float:
-        """What the final model leaves of the held-out logs, the largest error of a signal of these channels in times the noise. A
+    def left(self, channels: Sequence[int], signals: Collection[str] = UNITS) -> float:
+        """What the final model leaves of the held-out logs, the largest error of these signals and channels in times the noise. A
         reduced model is not held against the noise, which is not all that it leaves out: 0."""
-        errors = [e["after"] / e["noise"] for (c, _), e in self.judged.errors.items() if c in channels]
+        every = self.judged.errors.items()
+        errors = [e["after"] / e["noise"] for (c, s), e in every if c in channels and s in signals]
         return max(errors, default=0.0) if self.judged.rig.has_hidden_states else 0.0
 
 
