@@ -146,22 +146,23 @@ def next_question(
     if not may_ask:
         return None, "questions used up"
     names = [n for _, n in shown.apart] if unseen else [n for p in places for n in p.hypotheses]
-    named = [words.plain(n) for n in names if n != UNKNOWN]
-    open_ = ", ".join(dict.fromkeys(named[:4])) or UNKNOWN
-    what = (
-        "these logs would not show"
-        if unseen
-        else "open"
-        if len(named) != len(places)
-        else "leaves more than the noise"
-    )
-    what = "best guess, not proven" if found.best_guess else what
+    open_ = ", ".join(dict.fromkeys([words.plain(n) for n in names if n != UNKNOWN][:4])) or UNKNOWN
     question = Question(
-        why=f"{what}: {open_}; {why}", commands=None if design is None else file,
+        why=f"{_status(found)}: {open_}; {why}", commands=None if design is None else file,
         record=[*recorded(found.logs), *filter(None, [shown.sensor])], sensor=shown.sensor,
         apart={" | ".join(pair): round(d, 2) for pair, d in shown.apart.items()}, now=now, expected=then,
     )  # fmt: skip
     return question, None
+
+
+def _status(found: Diagnosis) -> str:
+    """How far what a question is about is known, in words."""
+    if found.best_guess:
+        return "best guess, not proven"
+    if found.verdict in ("none", "calibration"):
+        return "these logs would not show"
+    settled = found.effects and not any(e.indistinguishable_from for e in found.effects)
+    return "leaves more than the noise" if settled and found.verdict == "effects" else "open"
 
 
 def recorded(logs: Logs) -> list[str]:

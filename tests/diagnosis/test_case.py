@@ -20,7 +20,7 @@ from hydro_env.case.hypotheses import certainty, expected, places_of
 from hydro_env.case.sensors import SENSORS, Shown, chosen, costs_of, shown
 from hydro_env.case.unseen import with_experiment
 from hydro_env.cli.main import run
-from hydro_env.diagnosis import Settings, diagnose
+from hydro_env.diagnosis import Diagnosis, Settings, diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals
 from hydro_env.diagnosis.estimation.fit import Fit
 from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
@@ -295,46 +295,50 @@ def test_what_no_model_stands_for_shows_as_little_as_none() -> None:
     assert expected(places, {(CALIBRATION, "a"): 5.0}, 0.1) == pytest.approx(0.9, abs=2e-3)
 
 
+def _practice(folder: Path, **settings: Any) -> tuple[Callable[..., Diagnosis], Callable[..., Path]]:
+    """A rig with one log and one held out: diagnoses these and further logs, and plays what a diagnosis proposes."""
+    rig = {"base_error": 0.15, "duration": 6.0, "rate": 500.0, **settings}
+    make_practice(**rig, runs=("fit_2", "sealed")).write(folder)
+
+    def diagnosed(*answers: Path) -> Diagnosis:
+        return diagnose(
+            [folder / "fit_2.csv", *answers], [folder / "sealed.csv"], model=folder / "model.yaml"
+        )
+
+    def played(found: Diagnosis, record: Sequence[str]) -> Path:
+        assert found.next_experiment is not None
+        (folder / "q.csv").write_text(str(found.next_experiment.csv()))
+        make_practice(**rig, play=folder / "q.csv", record=record).write(folder / "answer")
+        return folder / "answer" / "played.csv"
+
+    return diagnosed, played
+
+
 @pytest.mark.slow
 def test_what_the_logs_would_not_show_is_asked_for(tmp_path: Path) -> None:
     """Small commands do not reach the limit of a driver: calibration is enough, but not sure, and the experiment shows it."""
-    settings: dict[str, Any] = {
-        "effects": ["driver_saturation:2"], "base_error": 0.15, "severity": "small", "duration": 6.0, "rate": 500.0,
-        "seed": 687001,
-    }  # fmt: skip
-    make_practice(**settings, runs=("fit_2", "sealed")).write(tmp_path)
-    logs, sealed, model = [tmp_path / "fit_2.csv"], [tmp_path / "sealed.csv"], tmp_path / "model.yaml"
-    first = diagnose(logs, sealed, model=model)
+    diagnosed, played = _practice(tmp_path, effects=["driver_saturation:2"], severity="small", seed=687001)
+    first = diagnosed()
     assert first.verdict == "calibration" and not first.effects
     assert 0.5 < certainty(places_of(first)) < dialogue.SURE
     found = with_experiment(first)
     question, closed = dialogue.next_question(found, places_of(found), shown(found, {}), "q.csv", True)
     assert closed is None and question is not None and max(question.apart.values()) > PARTED
-    (tmp_path / "q.csv").write_text(str(found.next_experiment.csv()) if found.next_experiment else "")
-    make_practice(**settings, play=tmp_path / "q.csv").write(tmp_path / "answer")
-    second = diagnose([*logs, tmp_path / "answer" / "played.csv"], sealed, model=model)
+    second = diagnosed(played(found, question.record))
     assert [(e.name, e.channel) for e in second.effects] == [("driver_saturation", "2")]
 
 
 @pytest.mark.slow
 def test_a_name_that_leaves_more_than_the_noise_is_asked_about(tmp_path: Path) -> None:
     """One wrong name, and nothing competes: an experiment that shows what the model does not predict finds the right one."""
-    settings: dict[str, Any] = {
-        "effects": ["flow_force:1"], "base_error": 0.15, "severity": "medium", "duration": 6.0, "rate": 500.0,
-        "seed": 670006,
-    }  # fmt: skip
-    make_practice(**settings, runs=("fit_2", "sealed")).write(tmp_path)
-    logs, sealed, model = [tmp_path / "fit_2.csv"], [tmp_path / "sealed.csv"], tmp_path / "model.yaml"
-    first = diagnose(logs, sealed, model=model)
+    diagnosed, played = _practice(tmp_path, effects=["flow_force:1"], severity="medium", seed=670006)
+    first = diagnosed()
     (wrong,) = first.effects
-    assert (
-        wrong.name != "flow_force" and wrong.probability < dialogue.SURE and first.proofs.left([0]) > AT_NOISE
-    )
+    assert wrong.name != "flow_force" and wrong.probability < dialogue.SURE
+    assert first.proofs.left([0]) > AT_NOISE
     question, closed = dialogue.next_question(first, places_of(first), shown(first, {}), "q.csv", True)
     assert closed is None and question is not None and question.why.startswith("leaves more than the noise")
-    (tmp_path / "q.csv").write_text(str(first.next_experiment.csv()) if first.next_experiment else "")
-    make_practice(**settings, play=tmp_path / "q.csv", record=question.record).write(tmp_path / "answer")
-    second = diagnose([*logs, tmp_path / "answer" / "played.csv"], sealed, model=model)
+    second = diagnosed(played(first, question.record))
     assert [(e.name, e.channel) for e in second.effects] == [("flow_force", "1")]
 
 
