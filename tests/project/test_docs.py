@@ -183,7 +183,6 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
     "name",
     [
         "howto/describe_your_rig.md",
-        "howto/train_an_agent.md",
         "howto/write_a_controller.md",
         "howto/your_own_task.md",
         "reference/environment.md",
