@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, shown
 from hydro_env.measured.cell_text import MISSING, SI_SUFFIX, has_suffix, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.header import Header, find_header
 from hydro_env.measured.mapping import TableStyle
-from hydro_env.measured.table import Table, check_size
+from hydro_env.measured.table import Table, check_size, place_of
 
 #: Lines in which the header is looked for, and lines read at a time behind them.
 _HEAD, _BLOCK = 1000, 20_000
@@ -98,16 +98,9 @@ def _lines(file: Any, findings: list[Finding]) -> Iterator[str]:
 
 def _read(lines: Iterator[str], choose: Choose, style: TableStyle, findings: list[Finding]) -> Table:
     first = 1 + sum(1 for _ in islice(lines, style.skip_rows))
-    head: list[str] = []
-    for line in lines:
-        if head or not line.isspace():
-            head.append(line)
-        else:
-            first += 1
-        if len(head) == _HEAD:
-            break
+    head = list(islice(lines, _HEAD))
     header = find_header(head, first, style.delimiter, findings)
-    places = {name: _place(header.names, name) for name in choose(header.names)}
+    places = {name: place_of(header.names, name) for name in choose(header.names)}
     cells = Cells(header, places, style, findings)
     columns, numbers = [array("d") for _ in places], array("q")  # they grow in place
     block, start = head[header.first :], first + header.first
@@ -123,20 +116,6 @@ def _read(lines: Iterator[str], choose: Choose, style: TableStyle, findings: lis
         raise InputError("only a header, no rows; a log needs at least two samples")
     named = dict(zip(places, map(np.asarray, columns), strict=True))
     return Table(header.names, named, np.asarray(numbers), findings, header.units)
-
-
-def _place(names: Sequence[str], wanted: str) -> int:
-    """The place of a column, by its name or, where the header has no such name, by its number from 1."""
-    found = [place for place, name in enumerate(names) if name == wanted]
-    if len(found) > 1:
-        places = ", ".join(str(n + 1) for n in found)
-        told = f"column {wanted!r} appears {len(found)} times (columns {places})"
-        raise InputError(f"{told}; keep one of them, or call it by its number")
-    if found:
-        return found[0]
-    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
-        return int(wanted) - 1
-    raise InputError(f"column {wanted!r} is not in the header; {suggestion(wanted, names)}")
 
 
 @dataclass

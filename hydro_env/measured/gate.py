@@ -151,9 +151,9 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> list[Finding]:
     invalid: list[tuple[Any, np.ndarray]] = []
     for each in mapping.sources():
         if each.channel is not None and log.has(each.signal, each.channel):
-            found, bad = check_samples(log, each, rows)
-            findings += found
-            invalid.append((log.of(each.signal, each.channel), bad))
+            one = check_samples(log, each, rows)
+            findings += one.findings
+            invalid.append((log.of(each.signal, each.channel), one.invalid))
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
     findings += check_lines(log, mapping)
@@ -184,11 +184,3 @@ def long_gap(period: float) -> float:
     return max(10.0 * period, 0.05)
 
 
-def after_gaps(time: np.ndarray) -> np.ndarray:
-    """The rows (T,) that follow a gap of more than ten rows by less than SETTLE_S."""
-    steps = np.diff(time)
-    ends = np.flatnonzero(steps > long_gap(float(np.median(steps)))) + 1
-    near = np.zeros(len(time), bool)
-    for end in ends:
-        near[end : np.searchsorted(time, time[end] + SETTLE_S)] = True
-    return near

@@ -282,16 +282,16 @@ def _left_out(draft: Proposal, problem: str) -> bool:
     content = draft.content
     both = [key for key in CHANNELS if key in content]
     optional = [(content, signal) for signal in RIG_SIGNALS]
-    optional += [(content[key], signal) for key in both for signal in CHANNEL_SIGNALS]
+    optional += [
+        (content[key], signal) for key in both for signal in CHANNEL_SIGNALS if signal not in _NEEDED
+    ]
 
     def spoils(source: dict[str, Any]) -> bool:
         columns = source.get("column"), source.get("minus", {}).get("column")
         return any(repr(column) in problem for column in columns if column is not None)
 
     for target, signal in optional:
-        if signal in _NEEDED or signal not in target:
-            continue
-        if spoils(target[signal]) or f"{signal} of a " in problem:
+        if signal in target and (spoils(target[signal]) or f"{signal} of a " in problem):
             draft.why.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
             return True
     if spoils(content["time"]):
@@ -341,7 +341,6 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
             quantiles = "".join(f"{from_si(np.nanquantile(values, q), name):11.4g}" for q in (0.0, 0.5, 1.0))
             examples = "".join(f"{from_si(values[n], name):13.4g}" for n in numbers)
             lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{quantiles}{examples}")
-    lines += [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
-    if not log.findings:
-        lines.append("  nothing suspicious found")
+    notes = [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
+    lines += notes or ["  nothing suspicious found"]
     return "\n".join(lines), proposal.text

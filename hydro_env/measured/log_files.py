@@ -16,7 +16,7 @@ from ..files import replacing
 from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
 from .formats import read_table
-from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, check_units, long_gap
+from .gate import SETTLE_S, check_clock, check_log, check_numbers, check_units, long_gap
 from .log import HELD, RigLog, field_of
 from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
 from .samples import MEASURED
@@ -91,7 +91,7 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
     )
     findings += check_units(table, mapping)
     findings += check_log(log, mapping, rows[part])
-    late = after_gaps(log.time_s)
+    late = _unknown(log.time_s, np.ones(len(log), bool))[1]  # behind gaps of the clock
     late &= late.mean() < 0.5  # or most of the log would be left out
     late |= unknown[part]
     return _with_load_pressure(replace(_without(log, late), findings=tuple(findings)))
@@ -100,7 +100,6 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
 def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: np.ndarray) -> Signals:
     """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
     signals: Signals = {}
-    slopes = []
     for each in mapping.sources():
         if np.isnan(table.columns[each.column]).all():
             if each.signal in ("command", "speed"):
@@ -113,13 +112,12 @@ def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: n
         values = _si(table, each)[keep]
         if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
             values, finding = _slope(values, time_s, each)
-            slopes.append(finding)
+            table.findings.append(finding)
         if each.channel is None:
             signals[each.signal] = values
         else:
             both = signals.setdefault(field_of(each.signal), np.full((len(values), 2), np.nan))
             both[:, each.channel] = values
-    table.findings += slopes
     return signals
 
 
@@ -166,13 +164,9 @@ def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:
 def _unwound(angle: np.ndarray) -> np.ndarray:
     """The angle (T,) without its jumps by a revolution, if it is kept within one."""
     known = np.isfinite(angle)
-    values = angle[known]
-    if len(values) < 2 or np.ptp(values) > 1.001 * REVOLUTION:
-        return angle
-    if np.abs(np.diff(values)).max() < 0.5 * REVOLUTION:
-        return angle
-    angle = angle.copy()
-    angle[known] = np.unwrap(values)
+    if known.any() and np.ptp(angle[known]) <= 1.001 * REVOLUTION:
+        angle = angle.copy()
+        angle[known] = np.unwrap(angle[known])
     return angle
 
 

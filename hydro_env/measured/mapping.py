@@ -302,13 +302,14 @@ def contract_columns() -> dict[str, tuple[str, int | None, str]]:
     """Every column that a rig log may have, in the order they are written: its signal, the channel and the unit."""
     rig = {column: (signal, None, symbol) for signal, (column, symbol) in CONTRACT_RIG.items()}
     found: dict[str, tuple[str, int | None, str]] = {"time_s": ("time", None, "s")}
-    found["setpoint_rpm"] = rig.pop("setpoint_rpm")
-    for group in (
+    found["setpoint_rpm"] = rig["setpoint_rpm"]
+    groups = (
         ("command", "current", "pressure", "speed", "load"),
         ("spool", "flow"),
         LINES,
         ("motor_pressure",),
-    ):
+    )
+    for group in groups:
         for channel, signal in product((0, 1), group):
             ending, symbol = CONTRACT[signal]
             found[f"{signal}_{channel + 1}_{ending}"] = signal, channel, symbol

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.errors import InputError, located, suggestion
+from hydro_env.errors import InputError, located
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
-from hydro_env.measured.table import Table
+from hydro_env.measured.table import Table, place_of
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -113,14 +113,7 @@ def _chosen(wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
         told = f"one column ({names[0] if names else 'none'})"
         raise InputError(f"{told}; a curve needs signal and flow, separated by commas, tabs or blanks")
     roles = {"signal": wanted.signal or "1", "flow": wanted.flow or "2", "time": wanted.time}
-    found: dict[str, str] = {}
-    for role, name in roles.items():
-        if name in names:
-            found[role] = name
-        elif name is not None and name.isdigit() and 1 <= int(name) <= len(names):
-            found[role] = names[int(name) - 1]
-        elif name is not None:
-            raise InputError(f"no column {name!r} for the {role}; {suggestion(name, names)}")
+    found = {role: names[place_of(names, name)] for role, name in roles.items() if name is not None}
     if len(set(found.values())) < len(found):
         raise InputError(f"signal, flow and time must be different columns, not {found}")
     return found
