@@ -105,11 +105,8 @@ def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         if log.supply is None or log.pressure is None or mapped is None:
             continue
         pressure, supply = _clean(np.abs(log.pressure[:, channel]), log.supply)
-        if not len(pressure):
-            continue
-        ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
-        if ratio > 3.0:
-            message = f"{mapped.column!r} is {ratio:.3g} times the supply pressure: another unit?"
+        if len(pressure) and (high := np.quantile(pressure, 0.99) / max(np.median(supply), 1.0)) > 3.0:
+            message = f"{mapped.column!r} is {high:.3g} times the supply pressure: another unit?"
             yield mapped.finding("unit", message, _IN_MAPPING)
 
 
@@ -163,10 +160,9 @@ def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     own = [follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
     crossed = [follow(log.command_V[:, 1 - c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
     if all(crossed[c] > own[c] + 0.1 for c in (0, 1)):
-        message = (
-            f"each speed follows the other channel's command (correlation {min(crossed) ** 0.5:.2f} or better) "
-            f"rather than its own ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
-        )
+        how = f"correlation {min(crossed) ** 0.5:.2f} or better"
+        told = f"each speed follows the other channel's command ({how}) rather than its own"
+        message = f"{told} ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
         hint = "exchange the speed columns in a mapping"
         sure = min(crossed) > 0.6 and all(crossed[c] > own[c] + 0.3 for c in (0, 1))
         other = [each for c in (1, 0) if (each := mapping.mapped("speed", c))]

@@ -17,7 +17,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -81,13 +81,10 @@ def _encoding(path: Path, findings: list[Finding]) -> str:
 
 def _lines(file: Any, findings: list[Finding]) -> Iterator[str]:
     """The lines of a text file, whose ends are all \\n."""
-    for number in count(1):
-        line = file.readline(_MAX_LINE + 1)
+    for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), 1):
         if len(line) > _MAX_LINE:
             told = f"row {number} is longer than {_MAX_LINE} characters"
             raise InputError(f"{told}; is an end of line missing, or is it no CSV file?")
-        if not line:
-            return
         if not line.isascii() and any("\udc80" <= mark <= "\udcff" for mark in line):
             if not any(each.code == "encoding" for each in findings):
                 message = "not UTF-8; read as Windows-1252"
@@ -103,15 +100,14 @@ def _read(lines: Iterator[str], choose: Choose, style: TableStyle, findings: lis
     places = {name: place_of(header.names, name) for name in choose(header.names)}
     cells = Cells(header, places, style, findings)
     columns, numbers = [array("d") for _ in places], array("q")  # they grow in place
-    block, start = head[header.first :], first + header.first
-    while block or (block := list(islice(lines, _BLOCK))):
+    start = first + header.first
+    for block in chain([head[header.first :]], iter(lambda: list(islice(lines, _BLOCK)), [])):
         check_size(max(start, len(numbers) * len(columns)))
         values, rows = cells.read(block, start)
         for column, some in zip(columns, values, strict=True):
             column.frombytes(some.tobytes())
         numbers.frombytes(rows.tobytes())
         start += len(block)
-        block = []
     if not numbers:
         raise InputError("only a header, no rows; a log needs at least two samples")
     named = dict(zip(places, map(np.asarray, columns), strict=True))

@@ -240,10 +240,8 @@ def _check_channel(group: Any, number: int) -> None:
     blocks = type(channel).__module__.rpartition(".")[2]
     rule = channel.conversion
     if rule is not None and rule.conversion_type not in _ARITHMETIC[blocks]:
-        raise InputError(
-            f"the values of channel {channel.name!r} come from a formula or a table of texts in the file, which is never run; "
-            "export physical values (no conversion, or a linear one)"
-        )
+        told = f"the values of channel {channel.name!r} come from a formula or a table of texts, which is never run"
+        raise InputError(f"{told}; export physical values (no conversion, or a linear one)")
     if blocks == "v4_blocks":
         # Of a channel with an attachment the library opens whatever file is named.
         if channel.channel_type == _VARIABLE_LENGTH or channel.attachment is not None:

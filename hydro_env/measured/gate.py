@@ -126,9 +126,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         yield Finding("clock_jump", message, hint, column=column, row=int(rows[at + 1]), sure=True)
     elif 0 < len(gaps) <= 0.02 * len(steps) + 1 and len(steps) > 2:
         at = gaps[np.argmax(steps[gaps])]
+        longest = f"the longest lasts {steps[at]:.6g} s after {time[at]:.6g} s (before row {rows[at + 1]};"
         message = (
-            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in {column!r}; the longest lasts {steps[at]:.6g} s after "
-            f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)"
+            f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in {column!r}; {longest} rows every {median:.6g} s)"
         )
         hint = "the gap counts for nothing, nor what depends on the time at which its commands changed"
         if steps[at] > long_gap(median):
@@ -182,5 +182,3 @@ def jump_size(time: np.ndarray) -> float:
 def long_gap(period: float) -> float:
     """Steps longer than this, s, are long beside the usual period: a simulation does not know the state behind them."""
     return max(10.0 * period, 0.05)
-
-

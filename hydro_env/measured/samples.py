@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, find_objects, label, median_filter
 
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog
@@ -177,7 +177,7 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     row behind the last, by how much, and the largest change within three rows nearby. Then twice the largest change anywhere."""
     if len(values) < 50:
         return [], 0.0
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    usual = median_filter(values, 9, mode="nearest")
     off = np.abs(values - usual)
     steps = np.abs(np.diff(values))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
@@ -190,11 +190,10 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
     far = off > least
     far[far] = off[far] > _SPIKE_NEAR * np.quantile(around[far], 0.8, axis=1)
-    starts, lengths = _runs(far.astype(float))
     found = []
-    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
-        end = start + length
-        if not far[start] or length > 3 or start == 0 or end == len(values):
+    for (run,) in find_objects(label(far)[0]):
+        start, end = run.start, run.stop
+        if end - start > 3 or start == 0 or end == len(values):
             continue
         height = float(np.abs(values[start:end] - 0.5 * (values[start - 1] + values[end])).min())
         nearby = float(change[max(start - 11, 0) : end + 10].max(initial=0.0))
@@ -244,9 +243,8 @@ def _stuck(one: Checked) -> None:
         message = f"repeats the value {one.shown(values[first])} for {length * one.period:.3g} s from {place}"
         if lengths[stuck].sum() > length:
             message += f", and more such stretches: {lengths[stuck].sum() * one.period:.3g} s in all"
-        one.leave_out(
-            np.repeat(stuck, lengths), "stuck", message, "a stuck sensor or a frozen recorder", first
-        )
+        bad = np.repeat(stuck, lengths)
+        one.leave_out(bad, "stuck", message, "a stuck sensor or a frozen recorder", first)
 
 
 def _by_command(one: Checked, ordinary: np.ndarray) -> np.ndarray:

@@ -53,7 +53,5 @@ def place_of(names: Sequence[str], wanted: str) -> int:
 def check_size(values: int) -> None:
     """InputError if a log of `values` numbers (rows times columns) is too large to read."""
     if values > MAX_VALUES:
-        raise InputError(
-            f"holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "
-            "export a shorter part, or fewer columns"
-        )
+        told = f"holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz)"
+        raise InputError(f"{told}; export a shorter part, or fewer columns")

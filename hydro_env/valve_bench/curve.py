@@ -150,9 +150,7 @@ def branches_of(curve: Curve) -> list[Branch]:
     if len(signal) < MIN_SAMPLES or span <= 0.0:
         span_of = f"{np.min(signal, initial=np.inf):g} to {np.max(signal, initial=-np.inf):g}"
         told = f"{len(signal)} samples with a signal from {span_of}"
-        raise curve.refused(
-            f"{told}; a curve needs at least {MIN_SAMPLES} samples over a range of the signal"
-        )
+        raise curve.refused(f"{told}; a curve needs {MIN_SAMPLES} samples over a range of the signal")
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
     turns = [0]
