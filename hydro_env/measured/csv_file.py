@@ -83,12 +83,12 @@ def _lines(file: Any, findings: list[Finding]) -> Iterator[str]:
     """The lines of a text file, whose ends are all \\n."""
     for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), 1):
         if len(line) > _MAX_LINE:
-            told = f"row {number} is longer than {_MAX_LINE} characters"
-            raise InputError(f"{told}; is an end of line missing, or is it no CSV file?")
+            raise InputError(f"row {number} is longer than {_MAX_LINE} characters; is it no CSV file?")
         if not line.isascii() and any("\udc80" <= mark <= "\udcff" for mark in line):
             if not any(each.code == "encoding" for each in findings):
-                message = "not UTF-8; read as Windows-1252"
-                findings.append(Finding("encoding", message, "save the log as UTF-8"))
+                findings.append(
+                    Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8")
+                )
             line = line.encode("utf-8", "surrogateescape").decode("cp1252", "replace")
         yield line
 
@@ -223,8 +223,7 @@ class Cells:
         if self.style.si_suffixes and has_suffix(text):
             self._note("si_suffixes", f"numbers carry suffixes {seen} so", name, line)
             return float(text[:-1]) * SI_SUFFIX[text[-1]]
-        told = f"row {line}, column {name!r}: {text!r} is not a number"
-        raise InputError(f"{told}; {self._hint(text, name)}")
+        raise InputError(f"row {line}, column {name!r}: {text!r} is not a number; {self._hint(text, name)}")
 
     def _note(self, code: str, message: str, name: str, line: int, hint: str = "") -> None:
         """Notes a spelling where it is first seen."""

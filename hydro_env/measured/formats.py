@@ -46,21 +46,14 @@ def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> T
     with located(path):
         try:
             if ending not in BINARY:
-                table = read_csv(path, choose, style or TableStyle())
-            elif packed:
+                return read_csv(path, choose, style or TableStyle())
+            if packed:
                 raise InputError("only CSV files are read gzipped; unpack it first")
-            else:
-                table = _read_binary(path, choose, *BINARY[ending])
+            return _read_binary(path, choose, *BINARY[ending])
         except OSError as error:
             raise InputError(f"cannot be read ({error.strerror or error}); copy it again") from None
         except MemoryError:
-            told = "does not fit into memory; export a shorter part, or fewer columns"
-            raise InputError(told) from None
-        for name, values in table.columns.items():
-            if (infinite := np.isinf(values)).any():
-                told = "infinite; leave it empty, or NaN, where nothing was measured"
-                raise table.refused(name, told, int(np.argmax(infinite)))
-    return table
+            raise InputError("does not fit into memory; export a shorter part, or fewer columns") from None
 
 
 def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table:
@@ -72,8 +65,6 @@ def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table
     with _collected_warnings() as warned:
         try:
             with reader(path, units) as opened:
-                if not opened:
-                    raise ValueError("no columns")
                 names = tuple(opened)
                 for name in choose(names):
                     columns[name] = _numbers(name, opened[names[place_of(names, name)]]())
@@ -245,8 +236,7 @@ def _check_channel(group: Any, number: int) -> None:
     if blocks == "v4_blocks":
         # Of a channel with an attachment the library opens whatever file is named.
         if channel.channel_type == _VARIABLE_LENGTH or channel.attachment is not None:
-            told = "holds texts, blocks of bytes or an attached file, no numbers"
-            raise InputError(f"column {channel.name!r} {told}")
+            raise InputError(f"column {channel.name!r} holds texts, bytes or an attached file, no numbers")
         bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
         validity = channel.pos_invalidation_bit // 8 if group.channel_group.invalidation_bytes_nr else -1
         outside = validity >= group.channel_group.invalidation_bytes_nr
@@ -254,8 +244,7 @@ def _check_channel(group: Any, number: int) -> None:
         bits = 8 * channel.additional_byte_offset + channel.start_offset + channel.bit_count
         outside = False
     if outside or bits > 8 * group.channel_group.samples_byte_nr:
-        told = "lies outside its record: the file is damaged; export it again"
-        raise InputError(f"channel {channel.name!r} {told}")
+        raise InputError(f"channel {channel.name!r} lies outside its record: damaged; export the file again")
 
 
 @contextmanager

@@ -126,10 +126,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         yield Finding("clock_jump", message, hint, column=column, row=int(rows[at + 1]), sure=True)
     elif 0 < len(gaps) <= 0.02 * len(steps) + 1 and len(steps) > 2:
         at = gaps[np.argmax(steps[gaps])]
+        many = f"{len(gaps)} gaps" if len(gaps) > 1 else "1 gap"
         longest = f"the longest lasts {steps[at]:.6g} s after {time[at]:.6g} s (before row {rows[at + 1]};"
-        message = (
-            f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in {column!r}; {longest} rows every {median:.6g} s)"
-        )
+        message = f"{many} in {column!r}; {longest} rows every {median:.6g} s)"
         hint = "the gap counts for nothing, nor what depends on the time at which its commands changed"
         if steps[at] > long_gap(median):
             hint += f", nor does the {SETTLE_S:g} s after it"

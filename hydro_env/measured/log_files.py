@@ -103,9 +103,7 @@ def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: n
     for each in mapping.sources():
         if np.isnan(table.columns[each.column]).all():
             if each.signal in ("command", "speed"):
-                raise InputError(
-                    f"column {each.column!r} is empty; {each.signal} is required of each channel"
-                )
+                raise InputError(f"column {each.column!r} is empty; the {each.signal} is required")
             told = f"column {each.column!r} holds no value"
             table.findings.append(Finding("empty_column", told, "taken as absent", column=each.column))
             continue

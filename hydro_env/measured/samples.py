@@ -59,7 +59,8 @@ class Checked:
     @cached_property
     def runs(self) -> tuple[np.ndarray, np.ndarray]:
         """Starts and lengths of the runs of equal values."""
-        return _runs(self.values)
+        starts = np.concatenate([[0], np.flatnonzero(self.values[1:] != self.values[:-1]) + 1])
+        return starts, np.diff(np.concatenate([starts, [len(self.values)]]))
 
     @property
     def least_stuck(self) -> int:
@@ -203,12 +204,6 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     return found, reach
 
 
-def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and lengths of the runs of equal values."""
-    starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
-    return starts, np.diff(np.concatenate([starts, [len(values)]]))
-
-
 def _stuck(one: Checked) -> None:
     """Runs of one value: of a noisy signal any, else where the command moves and the same commands move it elsewhere."""
     values, command, (starts, lengths) = one.values, one.command, one.runs
@@ -302,9 +297,8 @@ def _load_at_limit(one: Checked) -> None:
         if not _is_noisy(elsewhere) or np.median(steps) < 3.0 * resolution:
             continue
         first = starts[long][0]
-        place = f"for {lengths[long].sum() * one.period:.3g} s, first in row {one.rows[first]}"
-        message = f"stays at its {name} value, {one.shown(limit)}, {place}, though it is noisy elsewhere"
-        message += ": the sensor was at its limit"
+        place = f"for {lengths[long].sum() * one.period:.3g} s, first in row {one.rows[first]}, though noisy elsewhere"
+        message = f"stays at its {name} value, {one.shown(limit)}, {place}: the sensor was at its limit"
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
         one.tell("clipped", message, hint, first)
 

@@ -192,8 +192,7 @@ def distance(first: Curve, second: Curve, full_flow: float | None = None) -> flo
     low = max(loop.low / curve.rated for curve, loop in both)
     high = min(loop.high / curve.rated for curve, loop in both)
     if not high - low > 0.1:
-        told = f"{first.name} and {second.name} were not driven over the same signals"
-        raise InputError(f"{told}: compare like with like")
+        raise InputError(f"{first.name} and {second.name} were not driven over the same signals")
     share = np.linspace(low, high, 801)
     one, other = (
         np.array([branch.flow_at(share * curve.rated) for branch in (loop.branches[0], loop.branches[-1])])

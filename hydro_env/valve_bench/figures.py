@@ -201,8 +201,7 @@ def _side(
     middle = sign * _middle(loop, sign * top * levels)
     use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
     if np.count_nonzero(use) < 10:
-        told = f"the branches share too little of the {word} flow"
-        raise curve.refused(f"{told}; sweep both over the same range")
+        raise curve.refused(f"the branches share too little {word} flow; sweep both over the same range")
     if not np.ptp(middle[use]) > 1e-6 * curve.rated:
         raise curve.refused(f"the {word} flow jumps at one signal; record samples between, more slowly")
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
