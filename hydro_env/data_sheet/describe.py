@@ -235,9 +235,7 @@ def _text(found: Described) -> str:
         of = f" {f.channel}" if len(channels) > 1 else ""
         lines.append(f"  {f.key + of:34}{given:>12}{f.simulated:>12.4g}{mark}")
     if any(f.marked for f in found.figures):
-        lines.append(
-            "No model of this kind does all that the sheet says: check the marked figures and their conditions."
-        )
+        lines.append("No such model does all that the sheet says: check the marked figures and conditions.")
     lines.append("\nassumed, as the sheet does not say; what is measured instead goes into the sheet")
     rows: dict[tuple[Any, ...], list[int]] = {}
     for row in found.assumptions:

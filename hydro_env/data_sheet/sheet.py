@@ -209,7 +209,7 @@ def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
 
 def _asked(key: str, field: FieldInfo) -> Any:
     needed = " (needed)" if field.is_required() else ""
-    kind: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, field])
+    kind: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, field])  # type: ignore[arg-type]
     while True:
         text = input(f"  {field.description}{_choices(field)}{needed}: ").strip()
         if not text and not needed:

@@ -65,6 +65,8 @@ def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table
     with _collected_warnings() as warned:
         try:
             with reader(path, units) as opened:
+                if not opened:
+                    raise ValueError("no columns")
                 names = tuple(opened)
                 for name in choose(names):
                     columns[name] = _numbers(name, opened[names[place_of(names, name)]]())
@@ -188,7 +190,7 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     import asammdf
 
     # Bus logging would read databases that the file brings along.
-    with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
+    with closing(asammdf.MDF(path, process_bus_logging=False)) as file:  # type: ignore[call-arg]
         for each in file.groups:
             rows = each.channel_group
             record = rows.samples_byte_nr + getattr(rows, "invalidation_bytes_nr", 0)

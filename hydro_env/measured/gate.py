@@ -15,7 +15,7 @@ import numpy as np
 from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog
-from hydro_env.measured.mapping import Mapping
+from hydro_env.measured.mapping import Mapping, Time
 from hydro_env.measured.names import unit_of
 from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
@@ -28,15 +28,17 @@ _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 
 
-def check_clock(table: Table, column: str, unit: str) -> tuple[np.ndarray, np.ndarray | slice]:
-    """The clock of a table: time in s (K,) and the rows to keep, as an index.
+def check_clock(table: Table, clock: Time) -> tuple[np.ndarray, np.ndarray | slice]:
+    """The clock of a table as its mapping says it: time in s (K,) and the rows to keep, as an index.
 
     `InputError` where a time is missing or runs backwards, where the stamps are too coarse to order the rows or nearer to
     each other than a microsecond; a few repeated stamps are dropped with a finding, gaps and an uneven rate are findings.
     """
-    findings = table.findings
+    if clock.sample_rate is not None:
+        return np.arange(len(table.lines)) / clock.sample_rate, slice(None)
+    findings, column = table.findings, clock.column or ""
     with np.errstate(all="ignore"):
-        time = to_si(table.columns[column], unit)
+        time = to_si(table.columns[column], clock.unit)
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise table.refused(column, "no time; every row needs one, so delete the row", bad[0])
@@ -73,7 +75,7 @@ def check_clock(table: Table, column: str, unit: str) -> tuple[np.ndarray, np.nd
     if float(np.median(steps)) < _RESOLUTION_S:
         told = f"rows come every {np.median(steps):.3g} s; a clock is read to {_RESOLUTION_S:g} s"
         raise table.refused(column, f"{told}, so give its right unit in a mapping")
-    findings.extend(_rate(steps, time, table.lines[keep], column, unit))
+    findings.extend(_rate(steps, time, table.lines[keep], column, clock.unit))
     return time, keep
 
 

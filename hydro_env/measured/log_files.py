@@ -64,15 +64,9 @@ def _unknown_columns(table: Table) -> Iterator[Finding]:
 def _log_of(table: Table, mapping: Mapping) -> RigLog:
     """The log in SI, with what is not measured or not known left out, and all that was noticed on the way."""
     findings = table.findings
-    count = len(table.lines)
-    if count < 2:
-        raise InputError(f"only {count} row; a log needs at least two samples")
-    if mapping.time.column is None:
-        assert mapping.time.sample_rate is not None
-        keep: np.ndarray | slice = slice(None)
-        time_s = np.arange(count) / mapping.time.sample_rate
-    else:
-        time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit)
+    if len(table.lines) < 2:
+        raise InputError("only 1 row; a log needs at least two samples")
+    time_s, keep = check_clock(table, mapping.time)
     rows = table.lines[keep]
     signals = _signals(table, mapping, keep, time_s)
     table.columns.clear()  # an hour of them is half the memory
@@ -105,7 +99,7 @@ def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: n
             if each.signal in ("command", "speed"):
                 raise InputError(f"column {each.column!r} is empty; the {each.signal} is required")
             told = f"column {each.column!r} holds no value"
-            table.findings.append(Finding("empty_column", told, "taken as absent", column=each.column))
+            table.findings.append(each.finding("empty_column", told, "taken as absent"))
             continue
         values = _si(table, each)[keep]
         if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
@@ -141,22 +135,17 @@ def _slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.n
     second = second[np.isfinite(second)]
     noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
     rows, period = 1, float(np.median(np.diff(time)))
-    most = _SLOPE_S / 2.0 / period
+    most, here = _SLOPE_S / 2.0 / period, np.arange(len(time))
     while True:
-        speed = _over(position, time, rows)
+        # Between `rows` before and after each row, over fewer at the ends.
+        before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
+        speed = np.asarray((position[after] - position[before]) / (time[after] - time[before]))
         low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)
         if 2 * rows > most or noise * 2**0.5 <= _SLOPE_NOISE * (high - low) * 2 * rows * period:
             break
         rows *= 2
     message = f"the speed of channel {mapped.number} is the slope of {mapped.column!r} over {2 * rows} rows"
     return speed, mapped.finding("from_position", message)
-
-
-def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:
-    """The slope between `rows` before and after each row, over fewer at the ends."""
-    here = np.arange(len(time))
-    before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
-    return np.asarray((position[after] - position[before]) / (time[after] - time[before]))
 
 
 def _unwound(angle: np.ndarray) -> np.ndarray:

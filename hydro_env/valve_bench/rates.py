@@ -116,8 +116,6 @@ def _rate(signal: Floats, time: Floats, branch: Branch) -> float:
     # The middle half of the branch: at the turns a generator is slower, and a recording may wait there.
     quarter = (branch.stop - branch.start) // 4
     first, last = branch.start + quarter, branch.stop - 1 - quarter
-    if last <= first:
-        first, last = branch.start, branch.stop - 1
     passed = float(time[last] - time[first])
     return abs(float(signal[last] - signal[first])) / passed if passed > 0.0 else float("nan")
 
