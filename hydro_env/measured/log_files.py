@@ -99,7 +99,7 @@ def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: n
             if each.signal in ("command", "speed"):
                 raise InputError(f"column {each.column!r} is empty; the {each.signal} is required")
             told = f"column {each.column!r} holds no value"
-            table.findings.append(each.finding("empty_column", told, "taken as absent"))
+            table.findings.append(Finding("empty_column", told, "taken as absent", column=each.column))
             continue
         values = _si(table, each)[keep]
         if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
