@@ -112,9 +112,9 @@ def describe(sheet: DataSheet) -> Described:
             given = c.known.get(key)
             printed = None if given is None else given.value
             figures.append(Figure(c.number + 1, key, printed, given is not None and given.assumed, value))
-    assumptions = [row for c in channels for row in _assumptions(c)]
-    model = replace(model, ranges=_ranges(model, channels, assumptions))
-    return Described(model, _sources(sheet, channels), figures, assumptions)
+    ranges: dict[str, tuple[float, float]] = {}
+    assumptions = [row for c in channels for row in _assumptions(model, c, ranges)]
+    return Described(replace(model, ranges=ranges), _sources(sheet, channels), figures, assumptions)
 
 
 def _model(sheet: DataSheet, channels: list[dict[str, float]]) -> PlantModel:
@@ -169,37 +169,30 @@ def _fit_dynamics(c: _Channel, model_of: Callable[[Fitted], PlantModel], start: 
 
 
 # --- what was assumed, and where each value is from -------------------------------------------------------------------
-def _assumptions(c: _Channel) -> Iterator[Assumption]:
-    nominal = c.parameters
+def _assumptions(
+    model: PlantModel, c: _Channel, ranges: dict[str, tuple[float, float]]
+) -> Iterator[Assumption]:
+    """What was assumed of a channel; what it leaves open of each parameter, one at a time, is added to the `ranges`."""
+    nominal, scales = c.parameters, scales_of(model, c.number)
     for key, quantity in c.known.items():
         if quantity.low is None or quantity.high is None or getattr(c.fitted, key, None) is not None:
             continue
         span = quantity.low, quantity.high
-        moved = {name for end in span for name in _moved(nominal, c.moved(key, end))}
-        if moved or quantity.low == quantity.high:
-            names = tuple(name for name in nominal if name in moved)
+        ends = [c.moved(key, end) for end in span]
+        moved = {name for end in ends for name in _moved(nominal, end)}
+        names = tuple(name for name in nominal if name in moved)
+        if names or quantity.low == quantity.high:
             yield Assumption(c.number + 1, key, quantity.value, *span, quantity.why, names)
+        for name in names:
+            possible = scales.parameter(parameter_of(name)).possible
+            every = [*model.pair(name), *ranges.get(name, ()), *(end[name] for end in ends)]
+            low, high = min(every) * (1.0 - _TOLERANCE), max(every) * (1.0 + _TOLERANCE)
+            ranges[name] = (max(low, min(possible[0], min(every))), min(high, possible[1]))
 
 
 def _moved(nominal: dict[str, float], other: dict[str, float]) -> list[str]:
     """The parameters that are not what they were."""
     return [name for name, value in nominal.items() if not math.isclose(other[name], value, rel_tol=1e-9)]
-
-
-def _ranges(
-    model: PlantModel, channels: list[_Channel], assumptions: list[Assumption]
-) -> dict[str, tuple[float, float]]:
-    """What the assumptions leave open of each parameter, one at a time."""
-    ranges: dict[str, tuple[float, float]] = {}
-    for row in assumptions:
-        c = channels[row.channel - 1]
-        ends = [c.moved(row.key, end) for end in (row.low, row.high)]
-        for name in row.parameters:
-            possible = scales_of(model, c.number).parameter(parameter_of(name)).possible
-            every = [*model.pair(name), *ranges.get(name, ()), *(end[name] for end in ends)]
-            low, high = min(every) * (1.0 - _TOLERANCE), max(every) * (1.0 + _TOLERANCE)
-            ranges[name] = (max(low, min(possible[0], min(every))), min(high, possible[1]))
-    return ranges
 
 
 def _sources(sheet: DataSheet, channels: list[_Channel]) -> dict[str, str]:
@@ -242,9 +235,7 @@ def _text(found: Described) -> str:
         of = f" {f.channel}" if len(channels) > 1 else ""
         lines.append(f"  {f.key + of:34}{given:>12}{f.simulated:>12.4g}{mark}")
     if any(f.marked for f in found.figures):
-        lines.append(
-            "No model of this kind does all that the sheet says: check the marked figures and their conditions."
-        )
+        lines.append("No such model does all that the sheet says: check the marked figures and conditions.")
     lines.append("\nassumed, as the sheet does not say; what is measured instead goes into the sheet")
     rows: dict[tuple[Any, ...], list[int]] = {}
     for row in found.assumptions:

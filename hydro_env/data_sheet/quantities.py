@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from hydro_env.data_sheet.derive import full_flow
@@ -37,12 +36,8 @@ DYNAMIC = ("step_response_ms", "frequency_minus_3_dB_Hz", "frequency_minus_90_de
 #: Speed of the oil by which the bore of a line is chosen, m/s.
 _OIL_SPEED = 5.0
 _RULE = "class value, assumed"
-
-
-@cache
-def _classes() -> Any:
-    """Value, low and high of each quantity by component and kind."""
-    return shipped_yaml(__package__, "class_values.yaml")
+#: Value, low and high of each quantity by component and kind.
+_CLASSES: Any = shipped_yaml(__package__, "class_values.yaml")
 
 
 class _Known(dict[str, Quantity]):
@@ -57,7 +52,7 @@ class _Known(dict[str, Quantity]):
 
     def assume_class(self, component: str, kind: str | None, default: str) -> None:
         """Class values of a kind; those of the default with the ranges of all kinds where it is not given."""
-        classes = _classes()[component]
+        classes = _CLASSES[component]
         own = classes[kind or default]
         for key, (value, low, high) in own.items():
             others = [own] if kind else list(classes.values())

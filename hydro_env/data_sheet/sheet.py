@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import yaml
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from hydro_env.errors import InputError, shown
@@ -198,7 +198,7 @@ def ask(where: Path) -> tuple[DataSheet, str]:
 
 def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
     while True:
-        asked = {key: _asked(table, key, field) for key, field in table.model_fields.items()}
+        asked = {key: _asked(key, field) for key, field in table.model_fields.items()}
         answers = {key: value for key, value in asked.items() if value is not None}
         try:
             checked(table, answers, name)
@@ -207,20 +207,18 @@ def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
             print(f"  {problem}; once more:")
 
 
-def _asked(table: type[_Table], key: str, field: FieldInfo) -> Any:
+def _asked(key: str, field: FieldInfo) -> Any:
+    needed = " (needed)" if field.is_required() else ""
+    kind: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, field])  # type: ignore[arg-type]
     while True:
-        needed = " (needed)" if field.is_required() else ""
         text = input(f"  {field.description}{_choices(field)}{needed}: ").strip()
         if not text and not needed:
             return None
         try:
             value = text if field.annotation is str else parse_yaml(text, key)
-            table.model_validate({key: value})
+            kind.validate_python(value)
+            return value
         except InputError as problem:
             print(f"  {problem}")
-            continue
-        except ValidationError as problem:  # what else the table needs is asked for later
-            if wrong := [error["msg"] for error in problem.errors() if error["loc"][:1] == (key,)]:
-                print(f"  {shown(text)}: {wrong[0]}")
-                continue
-        return value
+        except ValidationError as problem:
+            print(f"  {shown(text)}: {problem.errors()[0]['msg']}")

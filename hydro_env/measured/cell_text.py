@@ -22,17 +22,14 @@ def seconds(text: str) -> float | None:
     match, date = _HOURS.fullmatch(time.rstrip("Z")), _DAYS.fullmatch(day.strip())
     if not match or (day and not date):
         return None
+    of_day = 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3].replace(",", "."))
     if not date:
-        return _of_hours(match)
+        return of_day
     year, month, of_month = date.group("y", "m", "d") if date["y"] else date.group("y2", "m2", "d2")
     try:
-        return datetime(int(year), int(month), int(of_month), tzinfo=UTC).timestamp() + _of_hours(match)
+        return datetime(int(year), int(month), int(of_month), tzinfo=UTC).timestamp() + of_day
     except ValueError:
         return None
-
-
-def _of_hours(match: re.Match[str]) -> float:
-    return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3].replace(",", "."))
 
 
 def is_value(text: str) -> bool:

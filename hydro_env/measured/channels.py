@@ -58,15 +58,14 @@ def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
 
 def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
     kind, given = log.kinds[mapped.channel or 0], mapped.source.unit
-    name = USUAL_UNITS[quantity_of(mapped.signal, kind)]
-    name = "m/s" if name == "mm/s" else name
+    name = USUAL_UNITS[quantity_of(mapped.signal, kind)].replace("mm/s", "m/s")
     peak = from_si(peak, name)
     driven = log.setpoint is not None and np.ptp(np.nan_to_num(log.setpoint)) > 0.0
+    speed = log.speed[:, mapped.channel or 0]
+    moves = np.nanmax(speed, initial=-inf) > np.nanmin(speed, initial=inf)
     for size in _SIZES:
         fits = mapped.signal in size.signals and size.low <= peak <= size.high and size.kind in ("", kind)
-        if not fits or (size.read_as and given not in size.read_as):
-            continue
-        if size.moves and (mapped.channel is None or not _moves(log, mapped.channel)):
+        if not fits or (size.read_as and given not in size.read_as) or (size.moves and not moves):
             continue
         if size.guess.endswith("slow") and driven:  # the set-point tells, see below
             continue
@@ -77,28 +76,24 @@ def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
         return
 
 
-def _moves(log: RigLog, channel: int) -> bool:
-    speed = log.speed[:, channel]
-    return bool(np.isfinite(speed).any() and np.nanmax(speed) - np.nanmin(speed) > 0.0)
-
-
 def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """A speed that follows the set-point in another unit."""
     if log.setpoint is None:
         return
     for channel in log.channels:
         speed, setpoint = _clean(log.speed[:, channel], log.setpoint)
-        if len(speed) < 20 or np.std(speed) == 0 or np.std(setpoint) == 0:
+        mapped = mapping.mapped("speed", channel)
+        if mapped is None or log.kinds[channel] != "motor" or len(speed) < 20:
             continue
-        if np.corrcoef(speed, setpoint)[0, 1] < 0.9:  # it does not follow
+        if _correlation(speed, setpoint) < 0.9:  # it does not follow
             continue
-        slope, mapped = float(np.std(speed) / np.std(setpoint)), mapping.mapped("speed", channel)
+        slope = float(np.std(speed) / np.std(setpoint))
         for factor, guess, right in (
             (RPM, "is the speed in rad/s", {"unit": "rad/s"}),
             (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", None),
             (6.0, "is the speed in deg/s", {"unit": "deg/s"}),
         ):
-            if mapped and log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
+            if 0.75 < slope / factor < 1.33:
                 told = f"the speed of channel {channel + 1} follows the set-point"
                 message = f"{told} with a factor of {slope:.3g}: {guess}?"
                 yield mapped.finding("unit", message, _IN_MAPPING, sure=True, right=right)
@@ -110,11 +105,8 @@ def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         if log.supply is None or log.pressure is None or mapped is None:
             continue
         pressure, supply = _clean(np.abs(log.pressure[:, channel]), log.supply)
-        if not len(pressure):
-            continue
-        ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
-        if ratio > 3.0:
-            message = f"{mapped.column!r} is {ratio:.3g} times the supply pressure: another unit?"
+        if len(pressure) and (high := np.quantile(pressure, 0.99) / max(np.median(supply), 1.0)) > 3.0:
+            message = f"{mapped.column!r} is {high:.3g} times the supply pressure: another unit?"
             yield mapped.finding("unit", message, _IN_MAPPING)
 
 
@@ -168,10 +160,9 @@ def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     own = [follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
     crossed = [follow(log.command_V[:, 1 - c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
     if all(crossed[c] > own[c] + 0.1 for c in (0, 1)):
-        message = (
-            f"each speed follows the other channel's command (correlation {min(crossed) ** 0.5:.2f} or better) "
-            f"rather than its own ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
-        )
+        how = f"correlation {min(crossed) ** 0.5:.2f} or better"
+        told = f"each speed follows the other channel's command ({how}) rather than its own"
+        message = f"{told} ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
         hint = "exchange the speed columns in a mapping"
         sure = min(crossed) > 0.6 and all(crossed[c] > own[c] + 0.3 for c in (0, 1))
         other = [each for c in (1, 0) if (each := mapping.mapped("speed", c))]
@@ -199,22 +190,21 @@ def _sign(log: RigLog, mapping: Mapping, channel: int) -> Iterator[Finding]:
         for signal in ("speed", "current")
         if log.has(signal, channel)
     }
-    if falls.get("speed", 0.0) > 0.4 and falls.get("current", 0.0) > 0.8:
-        # Both at once: it is the command that is upside down.
-        told = f"current and speed of channel {channel + 1} fall when its command rises"
-        found = [("command", f"{told} (correlation {-falls['speed']:.2f})", "the command", True)]
-    else:
-        found = []
-        for (signal, size), least, sure in zip(falls.items(), (0.4, 0.6), (0.7, 0.8), strict=False):
-            if size > least:
-                told = f"the {signal} of channel {channel + 1} falls when its command rises"
-                which = f"the {signal}" if "current" in falls else "the speed or the command"
-                found.append((signal, f"{told} (correlation {-size:.2f})", which, size > sure))
-    for signal, message, which, sure in found:
-        if mapped := mapping.mapped(signal, channel):
+    speed, current = (falls.get(signal, 0.0) for signal in ("speed", "current"))
+    alone = "the speed" if "current" in falls else "the speed or the command"
+    here = f"of channel {channel + 1}"
+    found = [
+        ("speed", f"the speed {here} falls", speed, 0.4, 0.7, alone),
+        ("current", f"the current {here} falls", current, 0.6, 0.8, "the current"),
+    ]
+    if speed > 0.4 and current > 0.8:  # both at once: it is the command that is upside down
+        found = [("command", f"current and speed {here} fall", speed, 0.4, 0.4, "the command")]
+    for signal, what, size, least, sure, which in found:
+        if size > least and (mapped := mapping.mapped(signal, channel)):
+            message = f"{what} when its command rises (correlation {-size:.2f})"
             other = -mapped.source.sign
             hint = f"give `sign: {other}` for {which} in a mapping"
-            yield mapped.finding("sign", message, hint, sure=sure, right={"sign": other})
+            yield mapped.finding("sign", message, hint, sure=size > sure, right={"sign": other})
 
 
 def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,11 +232,6 @@ def follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
         after = values[lag::stride]
         before, after = _clean(before[: len(after)], after[: len(before)])
         found.append(_correlation(before, after) if len(before) >= 50 else 0.0)
-    if not found:
-        return 0.0
-    size = np.abs(found)
-    for n, value in enumerate(found):
-        peak = (n == 0 or size[n] >= size[n - 1]) and (n + 1 == len(found) or size[n] >= size[n + 1])
-        if peak and size[n] >= 0.75 * size.max():
-            return value
-    return found[int(np.argmax(size))]
+    size = [0.0, *map(abs, found), 0.0]
+    peaks = (n for n in range(len(found)) if size[n] <= size[n + 1] >= max(size[n + 2], 0.75 * max(size)))
+    return next((found[n] for n in peaks), 0.0)

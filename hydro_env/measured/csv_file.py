@@ -17,18 +17,18 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.errors import InputError, shown
 from hydro_env.measured.cell_text import MISSING, SI_SUFFIX, has_suffix, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.header import Header, find_header
 from hydro_env.measured.mapping import TableStyle
-from hydro_env.measured.table import Table, check_size
+from hydro_env.measured.table import Table, check_size, place_of
 
 #: Lines in which the header is looked for, and lines read at a time behind them.
 _HEAD, _BLOCK = 1000, 20_000
@@ -81,62 +81,37 @@ def _encoding(path: Path, findings: list[Finding]) -> str:
 
 def _lines(file: Any, findings: list[Finding]) -> Iterator[str]:
     """The lines of a text file, whose ends are all \\n."""
-    for number in count(1):
-        line = file.readline(_MAX_LINE + 1)
+    for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), 1):
         if len(line) > _MAX_LINE:
-            told = f"row {number} is longer than {_MAX_LINE} characters"
-            raise InputError(f"{told}; is an end of line missing, or is it no CSV file?")
-        if not line:
-            return
+            raise InputError(f"row {number} is longer than {_MAX_LINE} characters; is it no CSV file?")
         if not line.isascii() and any("\udc80" <= mark <= "\udcff" for mark in line):
             if not any(each.code == "encoding" for each in findings):
-                message = "not UTF-8; read as Windows-1252"
-                findings.append(Finding("encoding", message, "save the log as UTF-8"))
+                findings.append(
+                    Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8")
+                )
             line = line.encode("utf-8", "surrogateescape").decode("cp1252", "replace")
         yield line
 
 
 def _read(lines: Iterator[str], choose: Choose, style: TableStyle, findings: list[Finding]) -> Table:
     first = 1 + sum(1 for _ in islice(lines, style.skip_rows))
-    head: list[str] = []
-    for line in lines:
-        if head or not line.isspace():
-            head.append(line)
-        else:
-            first += 1
-        if len(head) == _HEAD:
-            break
+    head = list(islice(lines, _HEAD))
     header = find_header(head, first, style.delimiter, findings)
-    places = {name: _place(header.names, name) for name in choose(header.names)}
+    places = {name: place_of(header.names, name) for name in choose(header.names)}
     cells = Cells(header, places, style, findings)
     columns, numbers = [array("d") for _ in places], array("q")  # they grow in place
-    block, start = head[header.first :], first + header.first
-    while block or (block := list(islice(lines, _BLOCK))):
+    start = first + header.first
+    for block in chain([head[header.first :]], iter(lambda: list(islice(lines, _BLOCK)), [])):
         check_size(max(start, len(numbers) * len(columns)))
         values, rows = cells.read(block, start)
         for column, some in zip(columns, values, strict=True):
             column.frombytes(some.tobytes())
         numbers.frombytes(rows.tobytes())
         start += len(block)
-        block = []
     if not numbers:
         raise InputError("only a header, no rows; a log needs at least two samples")
     named = dict(zip(places, map(np.asarray, columns), strict=True))
     return Table(header.names, named, np.asarray(numbers), findings, header.units)
-
-
-def _place(names: Sequence[str], wanted: str) -> int:
-    """The place of a column, by its name or, where the header has no such name, by its number from 1."""
-    found = [place for place, name in enumerate(names) if name == wanted]
-    if len(found) > 1:
-        places = ", ".join(str(n + 1) for n in found)
-        told = f"column {wanted!r} appears {len(found)} times (columns {places})"
-        raise InputError(f"{told}; keep one of them, or call it by its number")
-    if found:
-        return found[0]
-    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
-        return int(wanted) - 1
-    raise InputError(f"column {wanted!r} is not in the header; {suggestion(wanted, names)}")
 
 
 @dataclass
@@ -248,8 +223,7 @@ class Cells:
         if self.style.si_suffixes and has_suffix(text):
             self._note("si_suffixes", f"numbers carry suffixes {seen} so", name, line)
             return float(text[:-1]) * SI_SUFFIX[text[-1]]
-        told = f"row {line}, column {name!r}: {text!r} is not a number"
-        raise InputError(f"{told}; {self._hint(text, name)}")
+        raise InputError(f"row {line}, column {name!r}: {text!r} is not a number; {self._hint(text, name)}")
 
     def _note(self, code: str, message: str, name: str, line: int, hint: str = "") -> None:
         """Notes a spelling where it is first seen."""

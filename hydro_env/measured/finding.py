@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 #: Codes of findings about how a file is written, not about what it holds.
@@ -39,7 +39,3 @@ class Finding:
             return self.message
         mark = "" if self.message.endswith("?") else ";"  # after a question comes a new sentence
         return f"{self.message}{mark} {self.suggestion}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)

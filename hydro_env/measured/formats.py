@@ -12,24 +12,23 @@ databases and attachments of MDF files, data of HDF5 files that lie in other fil
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, located, suggestion, to_install
+from hydro_env.errors import InputError, located, to_install
 from hydro_env.measured.csv_file import Choose, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.mat5 import read_mat5
-from hydro_env.measured.table import Table, check_size
+from hydro_env.measured.table import Table, check_size, place_of
 from hydro_env.reading import check_file
 
 #: What reads each column of an open file, by name.
@@ -47,21 +46,14 @@ def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> T
     with located(path):
         try:
             if ending not in BINARY:
-                table = read_csv(path, choose, style or TableStyle())
-            elif packed:
+                return read_csv(path, choose, style or TableStyle())
+            if packed:
                 raise InputError("only CSV files are read gzipped; unpack it first")
-            else:
-                table = _read_binary(path, choose, *BINARY[ending])
+            return _read_binary(path, choose, *BINARY[ending])
         except OSError as error:
             raise InputError(f"cannot be read ({error.strerror or error}); copy it again") from None
         except MemoryError:
-            told = "does not fit into memory; export a shorter part, or fewer columns"
-            raise InputError(told) from None
-        for name, values in table.columns.items():
-            if (infinite := np.isinf(values)).any():
-                told = "infinite; leave it empty, or NaN, where nothing was measured"
-                raise table.refused(name, told, int(np.argmax(infinite)))
-    return table
+            raise InputError("does not fit into memory; export a shorter part, or fewer columns") from None
 
 
 def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table:
@@ -75,14 +67,15 @@ def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table
             with reader(path, units) as opened:
                 if not opened:
                     raise ValueError("no columns")
-                for name in choose(tuple(opened)):
-                    if name not in opened:
-                        raise InputError(f"column {name!r} is not in the file; {suggestion(name, opened)}")
-                    columns[name] = _numbers(name, opened[name]())
-                    check_size(len(columns[name]) * len(columns))
                 names = tuple(opened)
+                for name in choose(names):
+                    columns[name] = _numbers(name, opened[names[place_of(names, name)]]())
+                    check_size(len(columns[name]) * len(columns))
         except (InputError, MemoryError):
             raise
+        except ImportError as error:
+            told = f"reading {path.suffix} needs a library ({error})"
+            raise InputError(f"{told}: {to_install('measured')}") from None
         except Exception as error:  # each library has its own family of errors
             reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
             told = f"not readable as {what} ({reason}); export it again or save it as CSV"
@@ -128,26 +121,18 @@ def _collected_warnings() -> Iterator[list[str]]:
     for logger in loggers:
         logger.addFilter(keep)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield found
     finally:
         for logger in loggers:
             logger.removeFilter(keep)
 
 
-def _library(name: str, ending: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.split(".")[0]
-        raise InputError(f"reading {ending} needs {package}: {to_install('measured')}") from None
-
-
 @contextmanager
 def _parquet(path: Path, units: dict[str, str]) -> Iterator[Opened]:
-    parquet = _library("pyarrow.parquet", path.suffix)
-    with parquet.ParquetFile(path) as file:
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetFile(path) as file:
         check_size(file.metadata.num_rows)
         yield {name: partial(_parquet_values, file, name) for name in file.schema_arrow.names}
 
@@ -160,9 +145,13 @@ def _parquet_values(file: Any, name: str) -> Any:
 def _mat(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     with open(path, "rb") as file:
         is_hdf = b"MATLAB 7.3" in file.read(128)
+    found: Opened = {}
     if is_hdf:
-        with _library("h5py", path.suffix).File(path, "r") as hdf:
-            yield _hdf_columns(hdf)
+        import h5py
+
+        with h5py.File(path, "r") as hdf:
+            hdf.visititems(partial(_add_columns, found))
+            yield found
         return
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import matfile_version
@@ -172,50 +161,36 @@ def _mat(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     else:
         check_size(sum(math.prod(shape) for _, shape, _ in whosmat(path)))
         matrices = {name: values for name, values in loadmat(path).items() if not name.startswith("__")}
-    yield {name: partial(np.asarray, values) for name, values in _vectors(matrices)}
-
-
-def _vectors(matrices: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
     for name, values in matrices.items():
-        if values.size > 1 and values.size == max(values.shape):
-            yield name, values.ravel()
-        elif values.ndim == 2 and values.shape[1] <= 64 < values.shape[0]:
-            for number in range(values.shape[1]):
-                yield f"{name}(:,{number + 1})", values[:, number]
+        _add_columns(found, name, values.T)
+    yield found
 
 
-def _hdf_columns(file: Any) -> Opened:
-    """The columns of a MAT 7.3 file."""
-    found: Opened = {}
-
-    def visit(name: str, item: Any) -> None:
-        # A group, what MATLAB keeps, one number.
-        if not hasattr(item, "shape") or name.startswith("#") or not item.shape:
-            return
-        dotted = name.replace("/", ".")
-        if item.size == max(item.shape):
-            found[dotted] = partial(_hdf_values, item, ())
-        elif item.ndim == 2 and item.shape[0] <= 64 < item.shape[1]:
-            # MATLAB writes column by column, so a matrix lies on its side here.
-            rows = range(item.shape[0])
-            found.update({f"{dotted}(:,{row + 1})": partial(_hdf_values, item, row) for row in rows})
-
-    file.visititems(visit)
-    return found
+def _add_columns(found: Opened, name: str, item: Any) -> None:
+    """Adds the columns of a matrix that lies on its side, as MATLAB writes it into HDF5: column by column."""
+    # A group, what MATLAB keeps for itself, one number.
+    if not getattr(item, "shape", None) or name.startswith("#") or item.size < 2:
+        return
+    name = name.replace("/", ".")
+    if item.size == max(item.shape):
+        found[name] = partial(_row_of, item, ())
+    elif item.ndim == 2 and item.shape[0] <= 64 < item.shape[1]:
+        found |= {f"{name}(:,{n + 1})": partial(_row_of, item, n) for n in range(item.shape[0])}
 
 
-def _hdf_values(item: Any, row: Any) -> Any:
+def _row_of(item: Any, row: Any) -> Any:
     check_size(item.size)
-    if item.external or item.is_virtual:
+    if getattr(item, "external", None) or getattr(item, "is_virtual", False):
         raise InputError(f"{item.name} lies in another file; save the values themselves")
     return item[row]
 
 
 @contextmanager
 def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
-    asammdf = _library("asammdf", path.suffix)
+    import asammdf
+
     # Bus logging would read databases that the file brings along.
-    with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
+    with closing(asammdf.MDF(path, process_bus_logging=False)) as file:  # type: ignore[call-arg]
         for each in file.groups:
             rows = each.channel_group
             record = rows.samples_byte_nr + getattr(rows, "invalidation_bytes_nr", 0)
@@ -223,18 +198,13 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
         for group, number in file.masters_db.items():
             _check_channel(file.groups[group], number)
 
-        @cache
-        def clock_of(group: int) -> np.ndarray:
-            return np.asarray(file.get_master(group))
-
-        @cache
-        def clock() -> np.ndarray:
-            return max((clock_of(number) for number in range(len(file.groups))), key=len)
+        clocks = [np.asarray(file.get_master(group)) for group in range(len(file.groups))]
+        common = max(clocks, key=len, default=np.zeros(0))
 
         def read(group: int, number: int) -> Any:
             _check_channel(file.groups[group], number)
             signal = file.get(group=group, index=number)
-            own, common, values = clock_of(group), clock(), signal.samples
+            own, values = clocks[group], signal.samples
             if len(values) < len(own):  # samples that the file marks as invalid are left out
                 values = np.full(len(own), np.nan)
                 values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
@@ -252,7 +222,8 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
             channel = file.groups[group].channels[number]
             if unit := getattr(channel, "unit", "") or getattr(channel.conversion, "unit", ""):
                 units[name] = str(unit)
-        yield found if "time_s" in found else found | {"time_s": clock}
+        found.setdefault("time_s", lambda: common)
+        yield found
 
 
 def _check_channel(group: Any, number: int) -> None:
@@ -262,15 +233,12 @@ def _check_channel(group: Any, number: int) -> None:
     blocks = type(channel).__module__.rpartition(".")[2]
     rule = channel.conversion
     if rule is not None and rule.conversion_type not in _ARITHMETIC[blocks]:
-        raise InputError(
-            f"the values of channel {channel.name!r} come from a formula or a table of texts in the file, which is never run; "
-            "export physical values (no conversion, or a linear one)"
-        )
+        told = f"the values of channel {channel.name!r} come from a formula or a table of texts, which is never run"
+        raise InputError(f"{told}; export physical values (no conversion, or a linear one)")
     if blocks == "v4_blocks":
         # Of a channel with an attachment the library opens whatever file is named.
         if channel.channel_type == _VARIABLE_LENGTH or channel.attachment is not None:
-            told = "holds texts, blocks of bytes or an attached file, no numbers"
-            raise InputError(f"column {channel.name!r} {told}")
+            raise InputError(f"column {channel.name!r} holds texts, bytes or an attached file, no numbers")
         bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
         validity = channel.pos_invalidation_bit // 8 if group.channel_group.invalidation_bytes_nr else -1
         outside = validity >= group.channel_group.invalidation_bytes_nr
@@ -278,31 +246,27 @@ def _check_channel(group: Any, number: int) -> None:
         bits = 8 * channel.additional_byte_offset + channel.start_offset + channel.bit_count
         outside = False
     if outside or bits > 8 * group.channel_group.samples_byte_nr:
-        told = "lies outside its record: the file is damaged; export it again"
-        raise InputError(f"channel {channel.name!r} {told}")
+        raise InputError(f"channel {channel.name!r} lies outside its record: damaged; export the file again")
 
 
 @contextmanager
 def _tdms(path: Path, units: dict[str, str]) -> Iterator[Opened]:
-    tdms = _library("nptdms", path.suffix)
-    with tdms.TdmsFile.open(path) as file:
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [channel.name for channel in channels]
         found: Opened = {}
         for channel in channels:
             alone = names.count(channel.name) == 1
             name = channel.name if alone else f"{channel.group_name}/{channel.name}"
-            found[name] = partial(_tdms_values, channel)
+            check_size(len(channel))
+            found[name] = channel.read_data
             if channel.properties.get("unit_string"):
                 units[name] = str(channel.properties["unit_string"])
         if channels and "wf_increment" in channels[0].properties:
             found.setdefault("time_s", channels[0].time_track)
         yield found
-
-
-def _tdms_values(channel: Any) -> Any:
-    check_size(len(channel))
-    return channel[:]
 
 
 #: Loggers of the libraries that print unless asked not to.

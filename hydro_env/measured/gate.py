@@ -15,7 +15,7 @@ import numpy as np
 from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog
-from hydro_env.measured.mapping import Mapping
+from hydro_env.measured.mapping import Mapping, Time
 from hydro_env.measured.names import unit_of
 from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
@@ -28,15 +28,17 @@ _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 
 
-def check_clock(table: Table, column: str, unit: str) -> tuple[np.ndarray, np.ndarray | slice]:
-    """The clock of a table: time in s (K,) and the rows to keep, as an index.
+def check_clock(table: Table, clock: Time) -> tuple[np.ndarray, np.ndarray | slice]:
+    """The clock of a table as its mapping says it: time in s (K,) and the rows to keep, as an index.
 
     `InputError` where a time is missing or runs backwards, where the stamps are too coarse to order the rows or nearer to
     each other than a microsecond; a few repeated stamps are dropped with a finding, gaps and an uneven rate are findings.
     """
-    findings = table.findings
+    if clock.sample_rate is not None:
+        return np.arange(len(table.lines)) / clock.sample_rate, slice(None)
+    findings, column = table.findings, clock.column or ""
     with np.errstate(all="ignore"):
-        time = to_si(table.columns[column], unit)
+        time = to_si(table.columns[column], clock.unit)
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise table.refused(column, "no time; every row needs one, so delete the row", bad[0])
@@ -73,7 +75,7 @@ def check_clock(table: Table, column: str, unit: str) -> tuple[np.ndarray, np.nd
     if float(np.median(steps)) < _RESOLUTION_S:
         told = f"rows come every {np.median(steps):.3g} s; a clock is read to {_RESOLUTION_S:g} s"
         raise table.refused(column, f"{told}, so give its right unit in a mapping")
-    findings.extend(_rate(steps, time, table.lines[keep], column, unit))
+    findings.extend(_rate(steps, time, table.lines[keep], column, clock.unit))
     return time, keep
 
 
@@ -126,10 +128,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         yield Finding("clock_jump", message, hint, column=column, row=int(rows[at + 1]), sure=True)
     elif 0 < len(gaps) <= 0.02 * len(steps) + 1 and len(steps) > 2:
         at = gaps[np.argmax(steps[gaps])]
-        message = (
-            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in {column!r}; the longest lasts {steps[at]:.6g} s after "
-            f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)"
-        )
+        many = f"{len(gaps)} gaps" if len(gaps) > 1 else "1 gap"
+        longest = f"the longest lasts {steps[at]:.6g} s after {time[at]:.6g} s (before row {rows[at + 1]};"
+        message = f"{many} in {column!r}; {longest} rows every {median:.6g} s)"
         hint = "the gap counts for nothing, nor what depends on the time at which its commands changed"
         if steps[at] > long_gap(median):
             hint += f", nor does the {SETTLE_S:g} s after it"
@@ -151,9 +152,9 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> list[Finding]:
     invalid: list[tuple[Any, np.ndarray]] = []
     for each in mapping.sources():
         if each.channel is not None and log.has(each.signal, each.channel):
-            found, bad = check_samples(log, each, rows)
-            findings += found
-            invalid.append((log.of(each.signal, each.channel), bad))
+            one = check_samples(log, each, rows)
+            findings += one.findings
+            invalid.append((log.of(each.signal, each.channel), one.invalid))
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
     findings += check_lines(log, mapping)
@@ -182,13 +183,3 @@ def jump_size(time: np.ndarray) -> float:
 def long_gap(period: float) -> float:
     """Steps longer than this, s, are long beside the usual period: a simulation does not know the state behind them."""
     return max(10.0 * period, 0.05)
-
-
-def after_gaps(time: np.ndarray) -> np.ndarray:
-    """The rows (T,) that follow a gap of more than ten rows by less than SETTLE_S."""
-    steps = np.diff(time)
-    ends = np.flatnonzero(steps > long_gap(float(np.median(steps)))) + 1
-    near = np.zeros(len(time), bool)
-    for end in ends:
-        near[end : np.searchsorted(time, time[end] + SETTLE_S)] = True
-    return near

@@ -99,9 +99,7 @@ def _score(column: Column, signal: str) -> float:
         named = 0.0 if "symbol" in column.meant and not unit else named - 0.5
     if named <= 0.0:
         return 0.0
-    if unit is None:
-        return named
-    if signal == "command" and unit.quantity == "current":  # of a valve with its own amplifier
+    if unit is None or (signal == "command" and unit.quantity == "current"):  # the valve has an amplifier
         return named
     return named + (2.0 if unit.quantity in QUANTITIES[signal] else -np.inf if sure else -0.5)
 

@@ -49,10 +49,7 @@ def _line(text: str, delimiter: str) -> _Line:
     text = text[mark.end() :] if mark else text
     if delimiter == " ":  # a unit in brackets belongs to the name before it
         text, delimiter = "\t".join(re.sub(r"\s+(?=[(\[])", "", text).split()), "\t"
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
-    except csv.Error:
-        cells = [text.strip()]
+    cells = [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
     # Lines of dashes or stars say nothing.
     return _Line(cells if any(c.isalnum() for c in text) else [], mark is not None)
 

@@ -139,9 +139,6 @@ def _fill(draft: Proposal, columns: list[Column]) -> None:
             draft.why.append(f"{guess.column.name!r}: {told}")
         else:
             _put(draft, channels.get(guess.channel, draft.content), guess)
-    if "time" not in draft.content:
-        draft.content["time"] = {"sample_rate": 1000}
-        draft.open.append("time.sample_rate: no clock was found; put the rows per second")
     _finish(draft, channels, [repr(column.name) for column in free])
 
 
@@ -257,16 +254,18 @@ def _try(path: Path, draft: Proposal) -> None:
     channels = [content[key] for key in CHANNELS if key in content]
     if any(channel.get(signal, {}).get("column") == "?" for channel in channels for signal in _NEEDED):
         draft.problem = "no channel with a command and a speed was found; name them by hand"
-        return
     while True:
+        if "time" not in content:
+            content["time"] = {"sample_rate": 1000}
+            draft.open.append("time.sample_rate: no usable clock was found; put the rows per second")
+        if draft.problem:
+            return
         try:
             log = read_log(path, checked(Mapping, content, path))
         except InputError as error:
             problem = str(error).removeprefix(f"{path}: ")
-            if _left_out(draft, problem):
-                continue
-            draft.problem = problem
-            return
+            draft.problem = "" if _left_out(draft, problem) else problem
+            continue
         fixes = [finding for finding in log.findings if finding.sure and finding.fix]
         if corrected or not fixes:
             draft.log = log
@@ -282,23 +281,18 @@ def _left_out(draft: Proposal, problem: str) -> bool:
     content = draft.content
     both = [key for key in CHANNELS if key in content]
     optional = [(content, signal) for signal in RIG_SIGNALS]
-    optional += [(content[key], signal) for key in both for signal in CHANNEL_SIGNALS]
+    optional += [
+        (content[key], signal) for key in both for signal in CHANNEL_SIGNALS if signal not in _NEEDED
+    ]
 
     def spoils(source: dict[str, Any]) -> bool:
         columns = source.get("column"), source.get("minus", {}).get("column")
         return any(repr(column) in problem for column in columns if column is not None)
 
-    for target, signal in optional:
-        if signal in _NEEDED or signal not in target:
-            continue
-        if spoils(target[signal]) or f"{signal} of a " in problem:
+    for target, signal in (*optional, (content, "time")):
+        if signal in target and (spoils(target[signal]) or f"{signal} of a " in problem):
             draft.why.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
             return True
-    if spoils(content["time"]):
-        draft.why.append(f"{content['time']['column']!r}: left out; {problem}")
-        draft.open.append("time.sample_rate: the clock cannot be used; put the rows per second")
-        content["time"] = {"sample_rate": 1000}
-        return True
     bad = [key for key in both if any(spoils(content[key][signal]) for signal in _NEEDED)]
     if len(both) < 2 or len(bad) != 1:
         return False
@@ -341,7 +335,6 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
             quantiles = "".join(f"{from_si(np.nanquantile(values, q), name):11.4g}" for q in (0.0, 0.5, 1.0))
             examples = "".join(f"{from_si(values[n], name):13.4g}" for n in numbers)
             lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{quantiles}{examples}")
-    lines += [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
-    if not log.findings:
-        lines.append("  nothing suspicious found")
+    notes = [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
+    lines += notes or ["  nothing suspicious found"]
     return "\n".join(lines), proposal.text

@@ -94,8 +94,28 @@ class RigLog:
 
     @cached_property
     def period(self) -> float:
-        """The sample period in s: the mean step of a uniform log, the median step of another."""
-        return _period(self.time_s)
+        """The sample period in s: the mean step if rows come evenly, else the step of the even grid about which they lie, with
+        some missing."""
+        steps, passed = np.diff(self.time_s), self.time_s - self.time_s[0]
+        median = period = float(np.median(steps))
+        mean = float(passed[-1]) / len(steps)
+        if abs(mean - median) < 1e-4 * median:
+            period = mean
+        elif float(np.quantile(np.abs(steps - median), 0.9)) < median:
+            period = float(passed[-1]) / max(float(np.round(steps / median).sum()), 1.0)
+            # The longer the stretch, the better the period, by which the rows of the next one are numbered.
+            rows = 64
+            while rows < 2 * len(passed):
+                time = passed[:rows]
+                number = np.round(time / period - _phase(time / period))
+                apart = number - number.mean()
+                period = float(apart @ time / max(float(apart @ apart), 1.0))
+                rows *= 2
+            if abs(period - median) > 0.05 * median:
+                period = median
+        # Time stamps carry rounding; a period that is a whole number of microseconds but for that is meant to be one.
+        whole = round(period * 1e6) / 1e6
+        return whole if whole > 0 and abs(whole - period) <= 1e-6 * period else period
 
     @cached_property
     def uniform(self) -> bool:
@@ -178,27 +198,3 @@ class RigLog:
 def _phase(number: np.ndarray) -> float:
     """What rows (T,), in steps of a grid, are behind it on the average, from -0.5 to 0.5."""
     return float(np.angle(np.mean(np.exp(2j * np.pi * number)))) / (2.0 * np.pi)
-
-
-def _period(time_s: np.ndarray) -> float:
-    """The mean step if rows come evenly, else the step of the even grid about which they lie, with some missing."""
-    steps = np.diff(time_s)
-    median = period = float(np.median(steps))
-    mean = float(time_s[-1] - time_s[0]) / len(steps)
-    if abs(mean - median) < 1e-4 * median:
-        period = mean
-    elif float(np.quantile(np.abs(steps - median), 0.9)) < median:
-        period = float(time_s[-1] - time_s[0]) / max(float(np.round(steps / median).sum()), 1.0)
-        # The longer the stretch, the better the period, by which the rows of the next one are numbered.
-        rows = 64
-        while rows < 2 * len(time_s):
-            time = time_s[:rows] - time_s[0]
-            number = np.round(time / period - _phase(time / period))
-            apart = number - number.mean()
-            period = float(apart @ time / max(float(apart @ apart), 1.0))
-            rows *= 2
-        if abs(period - median) > 0.05 * median:
-            period = median
-    # Time stamps carry rounding; a period that is a whole number of microseconds but for that is meant to be one.
-    whole = round(period * 1e6) / 1e6
-    return whole if whole > 0 and abs(whole - period) <= 1e-6 * period else period

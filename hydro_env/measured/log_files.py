@@ -16,7 +16,7 @@ from ..files import replacing
 from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
 from .formats import read_table
-from .gate import SETTLE_S, after_gaps, check_clock, check_log, check_numbers, check_units, long_gap
+from .gate import SETTLE_S, check_clock, check_log, check_numbers, check_units, long_gap
 from .log import HELD, RigLog, field_of
 from .mapping import Mapped, Mapping, contract_columns, contract_mapping, load_mapping
 from .samples import MEASURED
@@ -64,15 +64,9 @@ def _unknown_columns(table: Table) -> Iterator[Finding]:
 def _log_of(table: Table, mapping: Mapping) -> RigLog:
     """The log in SI, with what is not measured or not known left out, and all that was noticed on the way."""
     findings = table.findings
-    count = len(table.lines)
-    if count < 2:
-        raise InputError(f"only {count} row; a log needs at least two samples")
-    if mapping.time.column is None:
-        assert mapping.time.sample_rate is not None
-        keep: np.ndarray | slice = slice(None)
-        time_s = np.arange(count) / mapping.time.sample_rate
-    else:
-        time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit)
+    if len(table.lines) < 2:
+        raise InputError("only 1 row; a log needs at least two samples")
+    time_s, keep = check_clock(table, mapping.time)
     rows = table.lines[keep]
     signals = _signals(table, mapping, keep, time_s)
     table.columns.clear()  # an hour of them is half the memory
@@ -91,7 +85,7 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
     )
     findings += check_units(table, mapping)
     findings += check_log(log, mapping, rows[part])
-    late = after_gaps(log.time_s)
+    late = _unknown(log.time_s, np.ones(len(log), bool))[1]  # behind gaps of the clock
     late &= late.mean() < 0.5  # or most of the log would be left out
     late |= unknown[part]
     return _with_load_pressure(replace(_without(log, late), findings=tuple(findings)))
@@ -100,26 +94,22 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
 def _signals(table: Table, mapping: Mapping, keep: np.ndarray | slice, time_s: np.ndarray) -> Signals:
     """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
     signals: Signals = {}
-    slopes = []
     for each in mapping.sources():
         if np.isnan(table.columns[each.column]).all():
             if each.signal in ("command", "speed"):
-                raise InputError(
-                    f"column {each.column!r} is empty; {each.signal} is required of every channel"
-                )
+                raise InputError(f"column {each.column!r} is empty; the {each.signal} is required")
             told = f"column {each.column!r} holds no value"
             table.findings.append(Finding("empty_column", told, "taken as absent", column=each.column))
             continue
         values = _si(table, each)[keep]
         if each.signal == "speed" and unit(each.source.unit).quantity in ("angle", "length"):
             values, finding = _slope(values, time_s, each)
-            slopes.append(finding)
+            table.findings.append(finding)
         if each.channel is None:
             signals[each.signal] = values
         else:
             both = signals.setdefault(field_of(each.signal), np.full((len(values), 2), np.nan))
             both[:, each.channel] = values
-    table.findings += slopes
     return signals
 
 
@@ -145,9 +135,11 @@ def _slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.n
     second = second[np.isfinite(second)]
     noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
     rows, period = 1, float(np.median(np.diff(time)))
-    most = _SLOPE_S / 2.0 / period
+    most, here = _SLOPE_S / 2.0 / period, np.arange(len(time))
     while True:
-        speed = _over(position, time, rows)
+        # Between `rows` before and after each row, over fewer at the ends.
+        before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
+        speed = np.asarray((position[after] - position[before]) / (time[after] - time[before]))
         low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)
         if 2 * rows > most or noise * 2**0.5 <= _SLOPE_NOISE * (high - low) * 2 * rows * period:
             break
@@ -156,23 +148,12 @@ def _slope(position: np.ndarray, time: np.ndarray, mapped: Mapped) -> tuple[np.n
     return speed, mapped.finding("from_position", message)
 
 
-def _over(position: np.ndarray, time: np.ndarray, rows: int) -> np.ndarray:
-    """The slope between `rows` before and after each row, over fewer at the ends."""
-    here = np.arange(len(time))
-    before, after = np.maximum(here - rows, 0), np.minimum(here + rows, len(time) - 1)
-    return np.asarray((position[after] - position[before]) / (time[after] - time[before]))
-
-
 def _unwound(angle: np.ndarray) -> np.ndarray:
     """The angle (T,) without its jumps by a revolution, if it is kept within one."""
     known = np.isfinite(angle)
-    values = angle[known]
-    if len(values) < 2 or np.ptp(values) > 1.001 * REVOLUTION:
-        return angle
-    if np.abs(np.diff(values)).max() < 0.5 * REVOLUTION:
-        return angle
-    angle = angle.copy()
-    angle[known] = np.unwrap(values)
+    if known.any() and np.ptp(angle[known]) <= 1.001 * REVOLUTION:
+        angle = angle.copy()
+        angle[known] = np.unwrap(angle[known])
     return angle
 
 

@@ -206,18 +206,14 @@ class ChannelMapping(FileTable):
 
 def _check_unit(what: str, given: str, actuator: str) -> None:
     """ValueError for a unit of something else than the signal, or the displacement, is measured in."""
-
-    def fitting(actuator: str) -> tuple[str, ...]:
-        quantity = quantity_of(what, actuator)
-        return (quantity, _POSITIONS[quantity]) if what == "speed" else (quantity,)
-
-    other = "cylinder" if actuator == "motor" else "motor"
     quantity = unit(given).quantity
+    wanted = {each: quantity_of(what, each) for each in ("motor", "cylinder")}
+    slope_of = _POSITIONS if what == "speed" else {}
+    fitting = [each for each, own in wanted.items() if quantity in (own, slope_of.get(own))]
     shared = quantity == "fraction" and what in ("command", "current", "spool")
-    if not shared and quantity not in fitting(actuator):
-        told = f"{given} is a unit of {quantity}; use {USUAL_UNITS[fitting(actuator)[0]]}"
-        elsewhere = what != "displacement" and quantity in fitting(other)
-        hint = f", or say `actuator: {other}`" if elsewhere else ""
+    if not shared and actuator not in fitting:
+        told = f"{given} is a unit of {quantity}; use {USUAL_UNITS[wanted[actuator]]}"
+        hint = f", or say `actuator: {fitting[0]}`" if fitting and what != "displacement" else ""
         raise ValueError(f"{what} of a {actuator}: {told}{hint}")
 
 
@@ -302,13 +298,9 @@ def contract_columns() -> dict[str, tuple[str, int | None, str]]:
     """Every column that a rig log may have, in the order they are written: its signal, the channel and the unit."""
     rig = {column: (signal, None, symbol) for signal, (column, symbol) in CONTRACT_RIG.items()}
     found: dict[str, tuple[str, int | None, str]] = {"time_s": ("time", None, "s")}
-    found["setpoint_rpm"] = rig.pop("setpoint_rpm")
-    for group in (
-        ("command", "current", "pressure", "speed", "load"),
-        ("spool", "flow"),
-        LINES,
-        ("motor_pressure",),
-    ):
+    found["setpoint_rpm"] = rig["setpoint_rpm"]
+    first = "command", "current", "pressure", "speed", "load"
+    for group in (first, ("spool", "flow"), LINES, ("motor_pressure",)):
         for channel, signal in product((0, 1), group):
             ending, symbol = CONTRACT[signal]
             found[f"{signal}_{channel + 1}_{ending}"] = signal, channel, symbol
@@ -318,27 +310,21 @@ def contract_columns() -> dict[str, tuple[str, int | None, str]]:
 def contract_mapping(names: tuple[str, ...]) -> Mapping:
     """The mapping of a log with the rig log's own header `names`; `InputError` where a required column is missing."""
     content: dict[str, Any] = {}
-    for column, (signal, channel, symbol) in contract_columns().items():
+    known = contract_columns()
+    for column, (signal, channel, symbol) in known.items():
         if column in names:
             owner = content if channel is None else content.setdefault(f"channel_{channel + 1}", {})
             owner[signal] = {"column": column, "unit": symbol}
     present = [key[-1] for key in CHANNELS if key in content] or ["1"]
     needed = [f"{signal}_{c}_{CONTRACT[signal][0]}" for c in present for signal in ("command", "speed")]
-    for column in ("time_s", *needed):
-        if column not in names:
-            raise _missing(column, names)
-    return Mapping.model_validate(content)
-
-
-def _missing(column: str, names: tuple[str, ...]) -> InputError:
-    known = contract_columns()
+    missing = next((column for column in ("time_s", *needed) if column not in names), None)
+    if missing is None:
+        return Mapping.model_validate(content)
     if names and all(name.isdecimal() for name in names):
-        return InputError(
-            "holds numbers where the header should be; add the line of column names, or say in a mapping file what the columns "
-            "are, by their numbers"
-        )
-    near = nearest(column, (name for name in names if name not in known))
+        told = "holds numbers where the header should be; add the line of column names"
+        raise InputError(f"{told}, or say in a mapping file what the columns are, by their numbers")
+    near = nearest(missing, (name for name in names if name not in known))
     hint = f"rename {near!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    told = f"the required column {column!r} is missing (found: {shown})"
-    return InputError(f"{told}; {hint}describe this log in a mapping file")
+    told = f"the required column {missing!r} is missing (found: {shown})"
+    raise InputError(f"{told}; {hint}describe this log in a mapping file")

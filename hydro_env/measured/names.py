@@ -35,23 +35,22 @@ def meanings(name: str) -> set[str]:
     """What the words of a name mean, keys of words.yaml; "symbol" if all of it is from a letter or two."""
     meaning, symbol, long = _known()
     found: set[str] = set()
-    rest = []
+    symbols: set[str] = set()
     each = words(_without_ending(name)[0])
     for pair in pairwise(each):  # x dot, set point
         if (joined := "".join(pair)) in meaning and len(joined) > 3:
             found.add(meaning[joined])
             each = [word for word in each if word not in pair]
     for word in each:
-        if word in symbol or word.isdigit():
-            rest.append(word)
+        if word in symbol:
+            symbols.add(symbol[word])
         elif word in meaning:
             found.add(meaning[word])
-        else:
+        elif not word.isdigit():
             inside = [known for known in long if known in word]
             longest = [known for n, known in enumerate(inside) if not any(known in one for one in inside[:n])]
             found |= {meaning[known] for known in longest} or ({"unknown"} if not unit_of(word) else set())
     found.discard("neutral")
-    symbols = {symbol[word] for word in rest if word in symbol}
     if symbols and not found - {"demanded", "order", "valve"}:
         found |= symbols | {"symbol"}
     return found

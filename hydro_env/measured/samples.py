@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import binary_dilation, find_objects, label, median_filter
 
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog
-from hydro_env.measured.mapping import CONTRACT, Mapped
-from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
+from hydro_env.measured.mapping import USUAL_UNITS, Mapped, quantity_of
+from hydro_env.units import from_si, with_unit
 
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b", "motor_pressure")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
@@ -33,7 +34,7 @@ _LEFT_OUT = "left out of every comparison"
 
 
 @dataclass
-class _Signal:
+class Checked:
     """A signal of a channel while it is looked at: its values (T,), NaN where there is none, the lines `rows` (T,) of the file
     that hold them, what was found and which samples (T,) are invalid."""
 
@@ -58,7 +59,8 @@ class _Signal:
     @cached_property
     def runs(self) -> tuple[np.ndarray, np.ndarray]:
         """Starts and lengths of the runs of equal values."""
-        return _runs(self.values)
+        starts = np.concatenate([[0], np.flatnonzero(self.values[1:] != self.values[:-1]) + 1])
+        return starts, np.diff(np.concatenate([starts, [len(self.values)]]))
 
     @property
     def least_stuck(self) -> int:
@@ -76,37 +78,32 @@ class _Signal:
         self.invalid |= bad
 
     def shown(self, value: float) -> str:
-        """A value as text, in the unit of the rig log."""
-        name = CONTRACT[self.name][1]
+        """A value as text, in the usual unit."""
+        name = USUAL_UNITS[quantity_of(self.name, self.log.kinds[self.channel])]
         return with_unit(from_si(value, name), name, 4)
 
 
-def check_samples(log: RigLog, mapped: Mapped, rows: np.ndarray) -> tuple[list[Finding], np.ndarray]:
-    """Findings about a signal of a channel, and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
-    one = _Signal(log, mapped, rows)
-    _check(one)
-    return one.findings, one.invalid
-
-
-def _check(one: _Signal) -> None:
+def check_samples(log: RigLog, mapped: Mapped, rows: np.ndarray) -> Checked:
+    """Looks at a signal of a channel; `rows` (T,) are lines of the file."""
+    one = Checked(log, mapped, rows)
     missing = np.flatnonzero(~np.isfinite(one.values))
     if len(missing):
         message = f"{len(missing)} of {len(one.values)} cells, the first in row {one.rows[missing[0]]}"
         one.tell("missing_values", f"holds no value in {message}", _LEFT_OUT, missing[0])
     finite = one.values[np.isfinite(one.values)]
-    if not len(finite):
-        return
-    if one.name == "load":
+    sensor = one.name in MEASURED and one.name != "speed" and one.swing > 0.0
+    if one.name == "load" and len(finite):
         _load_at_limit(one)
+    elif len(finite) <= 10 and len(np.unique(finite)) < 2:
+        pass  # too little to call it constant
     elif np.ptp(finite) == 0.0:
         _constant(one, finite)
+    elif sensor and len(finite) > 500 and _is_white(finite):
+        message = f"shows nothing but noise about {one.shown(float(finite.mean()))}"
+        hint = "the sensor does not measure: taken as absent"
+        one.tell("constant", f"{message} while the command moves", hint)
+        one.invalid[:] = True
     elif one.name in MEASURED:
-        if one.name != "speed" and one.swing > 0.0 and len(finite) > 500 and _is_white(finite):
-            message = f"shows nothing but noise about {one.shown(float(finite.mean()))}"
-            hint = "the sensor does not measure: taken as absent"
-            one.tell("constant", f"{message} while the command moves", hint)
-            one.invalid[:] = True
-            return
         _spikes(one)
         one.values[one.invalid] = np.nan  # a spike is no limit that a sensor runs into
         _stuck(one)
@@ -117,11 +114,10 @@ def _check(one: _Signal) -> None:
             one.values[one.invalid] = np.nan
             _disturbed(one)
         _coarse(one, finite)
+    return one
 
 
-def _constant(one: _Signal, finite: np.ndarray) -> None:
-    if len(finite) <= 10:
-        return
+def _constant(one: Checked, finite: np.ndarray) -> None:
     hint = "a log says nothing about what does not move: excite the rig, or look at the sensor"
     driven = one.swing > 0.0
     if one.name in MEASURED and one.name != "speed" and driven:
@@ -130,7 +126,7 @@ def _constant(one: _Signal, finite: np.ndarray) -> None:
     one.tell("constant", f"is constant ({one.shown(finite[0])})", hint, sure=one.name == "speed" and driven)
 
 
-def _coarse(one: _Signal, finite: np.ndarray) -> None:
+def _coarse(one: Checked, finite: np.ndarray) -> None:
     """Few levels over many rows: the steps of the converter show. A clean signal has nearly as many values as rows."""
     some = finite[:: 1 + len(finite) // 10_000]  # as many levels in a part settle it without sorting an hour
     span = float(np.ptp(finite))
@@ -148,7 +144,7 @@ def _coarse(one: _Signal, finite: np.ndarray) -> None:
         one.tell("coarse", f"has only {len(levels)} different values (step {step:.2%} of its range)", hint)
 
 
-def _spikes(one: _Signal) -> None:
+def _spikes(one: Checked) -> None:
     """Up to three rows far from all rows around them: a dropped bit or a loose plug.
 
     Far is beyond the noise, and beyond what the machine does. A shaft has inertia: there and back again takes twice the steepest
@@ -162,7 +158,8 @@ def _spikes(one: _Signal) -> None:
     least = _SPIKE * float(np.ptp(np.quantile(one.values[known], (0.01, 0.99))))
     bad = np.zeros(len(one.values), bool)
     for start, end, height, nearby in found:
-        asked = _command_near(one, int(known[start]), 20) >= 0.05
+        near = one.command[max(0, known[start] - 20) : known[start] + 20]
+        asked = one.swing > 0.0 and np.nanmax(near) - np.nanmin(near) >= 0.05 * one.swing
         if one.name == "speed":
             # A shaft that sticks and slips may stir for a row or two.
             possible = min(reach, max(least, 3.0 * nearby if asked else nearby))
@@ -181,7 +178,7 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     row behind the last, by how much, and the largest change within three rows nearby. Then twice the largest change anywhere."""
     if len(values) < 50:
         return [], 0.0
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    usual = median_filter(values, 9, mode="nearest")
     off = np.abs(values - usual)
     steps = np.abs(np.diff(values))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
@@ -194,11 +191,10 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
     far = off > least
     far[far] = off[far] > _SPIKE_NEAR * np.quantile(around[far], 0.8, axis=1)
-    starts, lengths = _runs(far.astype(float))
     found = []
-    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
-        end = start + length
-        if not far[start] or length > 3 or start == 0 or end == len(values):
+    for (run,) in find_objects(label(far)[0]):
+        start, end = run.start, run.stop
+        if end - start > 3 or start == 0 or end == len(values):
             continue
         height = float(np.abs(values[start:end] - 0.5 * (values[start - 1] + values[end])).min())
         nearby = float(change[max(start - 11, 0) : end + 10].max(initial=0.0))
@@ -208,21 +204,7 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     return found, reach
 
 
-def _command_near(one: _Signal, row: int, rows: int) -> float:
-    """How far the command moves within `rows` rows of a row, as a share of its swing in the log."""
-    if not one.swing > 0.0:
-        return 0.0
-    near = one.command[max(0, row - rows) : row + rows]
-    return float((np.nanmax(near) - np.nanmin(near)) / one.swing)
-
-
-def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and lengths of the runs of equal values."""
-    starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
-    return starts, np.diff(np.concatenate([starts, [len(values)]]))
-
-
-def _stuck(one: _Signal) -> None:
+def _stuck(one: Checked) -> None:
     """Runs of one value: of a noisy signal any, else where the command moves and the same commands move it elsewhere."""
     values, command, (starts, lengths) = one.values, one.command, one.runs
     long = lengths >= one.least_stuck
@@ -256,12 +238,11 @@ def _stuck(one: _Signal) -> None:
         message = f"repeats the value {one.shown(values[first])} for {length * one.period:.3g} s from {place}"
         if lengths[stuck].sum() > length:
             message += f", and more such stretches: {lengths[stuck].sum() * one.period:.3g} s in all"
-        one.leave_out(
-            np.repeat(stuck, lengths), "stuck", message, "a stuck sensor or a frozen recorder", first
-        )
+        bad = np.repeat(stuck, lengths)
+        one.leave_out(bad, "stuck", message, "a stuck sensor or a frozen recorder", first)
 
 
-def _by_command(one: _Signal, ordinary: np.ndarray) -> np.ndarray:
+def _by_command(one: Checked, ordinary: np.ndarray) -> np.ndarray:
     """For each row the median of the values of the `ordinary` rows (T,) at the same command, within 2.5 % of its swing; NaN where
     there are too few."""
     low = np.nanmin(one.command[ordinary]) if ordinary.any() else 0.0
@@ -275,7 +256,7 @@ def _by_command(one: _Signal, ordinary: np.ndarray) -> np.ndarray:
     return np.where(level >= 0, medians[np.maximum(level, 0)], np.nan)
 
 
-def _silent(one: _Signal) -> None:
+def _silent(one: Checked) -> None:
     """Stretches of a pressure that are white noise while the shaft changes its speed to and fro: that takes torque."""
     width = round(2.0 * _BURST_S / one.period)
     if width < 50 or len(one.values) < 3 * width:
@@ -296,7 +277,7 @@ def _silent(one: _Signal) -> None:
     one.leave_out(bad, "stuck", f"{message}, while the speed changes to and fro", "a stuck sensor", first)
 
 
-def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
+def _at_limits(one: Checked, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
     """The smallest and the largest value, if runs of at least `least` rows have it, and which runs these are."""
     starts, lengths = one.runs
     for limit, name in ((np.nanmin(one.values), "smallest"), (np.nanmax(one.values), "largest")):
@@ -305,7 +286,7 @@ def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndar
             yield name, limit, long
 
 
-def _load_at_limit(one: _Signal) -> None:
+def _load_at_limit(one: Checked) -> None:
     """A measured load that repeats its largest or smallest value: noise never does. A computed load may rest anywhere."""
     starts, lengths = one.runs
     for name, limit, long in _at_limits(one, one.least_stuck):
@@ -316,15 +297,13 @@ def _load_at_limit(one: _Signal) -> None:
         if not _is_noisy(elsewhere) or np.median(steps) < 3.0 * resolution:
             continue
         first = starts[long][0]
-        unit = "N" if one.log.kinds[one.channel] == "cylinder" else "N m"
-        place = f"for {lengths[long].sum() * one.period:.3g} s, first in row {one.rows[first]}"
-        message = f"stays at its {name} value, {limit:.4g} {unit}, {place}, though it is noisy elsewhere"
-        message += ": the sensor was at its limit"
+        place = f"for {lengths[long].sum() * one.period:.3g} s, first in row {one.rows[first]}, though noisy elsewhere"
+        message = f"stays at its {name} value, {one.shown(limit)}, {place}: the sensor was at its limit"
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
         one.tell("clipped", message, hint, first)
 
 
-def _clipped(one: _Signal) -> None:
+def _clipped(one: Checked) -> None:
     """Runs at the largest or smallest value that the signal reached while it was moving."""
     values, (starts, lengths) = one.values, one.runs
     for name, limit, long in _at_limits(one, max(5.0, 5.0 * float(np.median(lengths)))):
@@ -355,7 +334,7 @@ def _is_noisy(values: np.ndarray) -> bool:
     return len(steps) > 100 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) > 0.3
 
 
-def _disturbed(one: _Signal) -> None:
+def _disturbed(one: Checked) -> None:
     """Stretches in which the speed shakes much faster and wider than usual though nothing asks for it.
 
     A machine that truly shook would need the pressure for it. Where the pressure is logged and stays as quiet as usual, the
@@ -381,34 +360,22 @@ def _disturbed(one: _Signal) -> None:
         calm = shakes[quiet_command & np.isfinite(shakes)]
         if calm.size and np.mean(shakes[much] > 0.5 * _BURST_RATIO * np.median(calm)) > 0.3:
             return
-    wide = _with_neighbours(much, size > 0.4 * _BURST_RATIO * usual)
+    # Windows next to them that are half as strong, and single ones between.
+    wide = binary_dilation(much, iterations=8, mask=size > 0.4 * _BURST_RATIO * usual)
+    wide[1:-1] |= wide[:-2] & wide[2:]
     bad = _rows_of(wide, width, len(one.values))
     first, last = np.flatnonzero(bad)[[0, -1]]
     worst = int(np.argmax(np.where(wide, size, 0.0)))
     rate = float(turns[worst]) / (2.0 * _BURST_S)
-    linear = log.kinds[one.channel] == "cylinder"
-    shown = f"{size[worst] / MILLIMETRE:.3g} mm/s" if linear else f"{size[worst] / RPM:.3g} rpm"
-    message = (
-        f"shakes at about {rate:.0f} Hz from {log.time_s[first]:.4g} to {log.time_s[last]:.4g} s "
-        f"(rows {one.rows[first]} to {one.rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "
-        "the command hardly moves"
-    )
+    place = f"{log.time_s[first]:.4g} to {log.time_s[last]:.4g} s (rows {one.rows[first]} to {one.rows[last]}"
+    noise = f"up to {one.shown(size[worst])} RMS, {size[worst] / usual:.0f} times its usual noise"
+    message = f"shakes at about {rate:.0f} Hz from {place}; {noise}) while the command hardly moves"
     if pressure is not None:
         hint = "the pressure stays quiet, so the sensor is disturbed, not the machine"
         one.leave_out(bad, "disturbed", message, hint, first)
     else:
         hint = "without a pressure signal it is unknown whether the machine shook or its sensor; the stretch counts"
         one.tell("disturbed", message, hint, first)
-
-
-def _with_neighbours(much: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Windows that are marked, up to eight next to them that are half as strong, and single ones between."""
-    wide = much.copy()
-    for _ in range(8):
-        near = np.convolve(wide, [1, 0, 1], "same") > 0
-        wide |= near & half
-    wide[1:-1] |= wide[:-2] & wide[2:]
-    return wide
 
 
 def _windows(values: np.ndarray, width: int) -> np.ndarray:

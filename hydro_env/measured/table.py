@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.finding import Finding
 
 #: Numbers that a log may hold: ten signals for a day at 1 kHz, 7 GB. A file that claims or unpacks to more is refused before
@@ -35,10 +36,22 @@ class Table:
         return InputError(f"{where}column {column!r}: {problem}")
 
 
+def place_of(names: Sequence[str], wanted: str) -> int:
+    """The place of a column, by its name or, where the file has no such name, by its number from 1."""
+    found = [place for place, name in enumerate(names) if name == wanted]
+    if len(found) > 1:
+        places = ", ".join(str(n + 1) for n in found)
+        told = f"column {wanted!r} appears {len(found)} times (columns {places})"
+        raise InputError(f"{told}; keep one of them, or call it by its number")
+    if found:
+        return found[0]
+    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
+        return int(wanted) - 1
+    raise InputError(f"column {wanted!r} is not in the header; {suggestion(wanted, names)}")
+
+
 def check_size(values: int) -> None:
     """InputError if a log of `values` numbers (rows times columns) is too large to read."""
     if values > MAX_VALUES:
-        raise InputError(
-            f"holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "
-            "export a shorter part, or fewer columns"
-        )
+        told = f"holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz)"
+        raise InputError(f"{told}; export a shorter part, or fewer columns")

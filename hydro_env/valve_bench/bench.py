@@ -88,16 +88,13 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
     if len(how.periods) not in (0, 1, len(files)):
         told = f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files"
         raise InputError(f"{told}: one for all, or one each")
-    tested, curves = [], []
-    with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
-        for text, valve in models:
-            swept = partial(record, valve.model, valve.channel, signal=how.signal, name=valve.name)
-            tested.append(_tested(text, [swept(seconds=seconds) for seconds in how.seconds], valve))
-            bar.update()
-        for n, text in enumerate(files):
-            period = (how.periods * len(files))[n] if how.periods else how.columns.sweep_period
-            curves.append(read_curve(text, replace(how.columns, sweep_period=period)))
-            bar.update()
+    tested = []
+    for text, valve in tqdm(models, desc="valves", disable=not progress, leave=False):
+        swept = partial(record, valve.model, valve.channel, signal=how.signal, name=valve.name)
+        tested.append(_tested(text, [swept(seconds=seconds) for seconds in how.seconds], valve))
+    periods = (how.periods or (how.columns.sweep_period,)) * len(files)
+    columns = [replace(how.columns, sweep_period=period) for period in periods]
+    curves = [read_curve(*each) for each in zip(files, columns, strict=False)]
     if how.one_valve and curves:
         tested.append(_tested(", ".join(files), _of_one_valve(curves)))
     else:
@@ -195,8 +192,7 @@ def distance(first: Curve, second: Curve, full_flow: float | None = None) -> flo
     low = max(loop.low / curve.rated for curve, loop in both)
     high = min(loop.high / curve.rated for curve, loop in both)
     if not high - low > 0.1:
-        told = f"{first.name} and {second.name} were not driven over the same signals"
-        raise InputError(f"{told}: compare like with like")
+        raise InputError(f"{first.name} and {second.name} were not driven over the same signals")
     share = np.linspace(low, high, 801)
     one, other = (
         np.array([branch.flow_at(share * curve.rated) for branch in (loop.branches[0], loop.branches[-1])])

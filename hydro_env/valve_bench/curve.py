@@ -150,9 +150,7 @@ def branches_of(curve: Curve) -> list[Branch]:
     if len(signal) < MIN_SAMPLES or span <= 0.0:
         span_of = f"{np.min(signal, initial=np.inf):g} to {np.max(signal, initial=-np.inf):g}"
         told = f"{len(signal)} samples with a signal from {span_of}"
-        raise curve.refused(
-            f"{told}; a curve needs at least {MIN_SAMPLES} samples over a range of the signal"
-        )
+        raise curve.refused(f"{told}; a curve needs {MIN_SAMPLES} samples over a range of the signal")
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
     turns = [0]
@@ -179,8 +177,7 @@ def branches_of(curve: Curve) -> list[Branch]:
         if stop - start >= MIN_SAMPLES and abs(step) > TURN * span:
             found.append(Branch(1 if step > 0.0 else -1, start, stop))
     if not found:
-        told = f"no branch with {MIN_SAMPLES} samples between two turns of the signal"
-        raise curve.refused(f"{told}; record a slow triangle with more samples")
+        raise curve.refused(f"no branch with {MIN_SAMPLES} samples; record a slow triangle with more samples")
     return found
 
 
@@ -243,8 +240,7 @@ def _kind(curve: Curve, found: list[Branch]) -> tuple[str, int]:
     index = index[:: max(1, len(index) // 5000)]
     signal, flow = curve.signal[index], curve.flow[index]
     if float(np.ptp(flow)) == 0.0:
-        told = f"the flow is {flow[0] / LPM:g} l/min all the time"
-        raise curve.refused(f"{told}; name the column of the flow")
+        raise curve.refused(f"the flow is {flow[0] / LPM:g} l/min all the time; name the column of the flow")
     rank = float(spearmanr(signal, flow).statistic)
     if abs(rank) > 0.8:
         return FLOW, 1 if rank > 0.0 else -1

@@ -194,16 +194,14 @@ def _side(
     curve: Curve, loop: Loop, sign: int, top: float, steps: tuple[float, float], notes: list[str]
 ) -> Side:
     word = WORDS[sign]
-    # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
-    reach = np.linspace(*EDGE, 120)
     levels = np.linspace(0.01, 0.99, 197)
+    # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
     covered = min(branch.largest(sign) for branch in loop.branches) / top
     inside = levels < 0.995 * covered
     middle = sign * _middle(loop, sign * top * levels)
     use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
     if np.count_nonzero(use) < 10:
-        told = f"the branches share too little of the {word} flow"
-        raise curve.refused(f"{told}; sweep both over the same range")
+        raise curve.refused(f"the branches share too little {word} flow; sweep both over the same range")
     if not np.ptp(middle[use]) > 1e-6 * curve.rated:
         raise curve.refused(f"the {word} flow jumps at one signal; record samples between, more slowly")
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
@@ -212,12 +210,10 @@ def _side(
     straight = start + slope * levels * top
     between = (levels >= LINEAR[0]) & (levels <= LINEAR[1]) & inside
     off = float(np.max(np.abs(middle - straight)[between]))
-    edges, spreads = zip(*(_edge(branch, sign, top, reach) for branch in loop.branches), strict=True)
-    outward, back = (loop.rising, loop.falling) if sign > 0 else (loop.falling, loop.rising)
-
+    edges, spreads = zip(*(_edge(branch, sign, top) for branch in loop.branches), strict=True)
+    outward, back = (loop.rising, loop.falling)[::sign]
     begun = sign * top * BEGUN
     opens, closes = (None if b is None else sign * float(b.signal_at(begun)) for b in (outward, back))
-
     end = sign * (loop.high if sign > 0 else loop.low)
     # On the way out only: on the way back hysteresis alone keeps the flow up.
     last = outward or loop.branches[0]
@@ -243,8 +239,9 @@ def _side(
     )
 
 
-def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float, float]:
+def _edge(branch: Monotone, sign: int, top: float) -> tuple[float, float]:
     """Where a branch's flow begins, counted away from zero, and its standard error from the scatter of the bins."""
+    reach = np.linspace(*EDGE, 120)
     ends = np.sort(sign * branch.signal_at(sign * top * reach[[0, -1]]))
     away, flow = sign * branch.signal, sign * branch.flow
     use = (away >= ends[0]) & (away <= ends[1])
@@ -274,7 +271,7 @@ def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict
     """The loop where it is widest, with its uncertainty, and its mean width between 10 and 90 % of the flow."""
     if loop.rising is None or loop.falling is None:
         return {}
-    best, where, spread, means = 0.0, None, 0.0, []
+    widest, means = [], []
     levels = np.linspace(*WIDTH, 193)
     window = max(1, round(WINDOW / (levels[1] - levels[0])))
     kernel = np.ones(window) / window
@@ -294,22 +291,20 @@ def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict
         inner = (levels[use] > 0.1) & (levels[use] < 0.9)
         if inner.any():
             means.append(float(np.mean(width[inner])))
-        if where is None or abs(smooth[n]) > abs(best):
-            best, where = float(smooth[n]), float(middle[n + window // 2])
-            gain = float(np.ptp(flows[use]) / max(np.ptp(middle), 1e-300))
-            near = max(1.0, float(np.median(loop.rising.count)) * max(1.0, WINDOW * len(loop.rising.count)))
-            # The largest of some 50 windows stands further out than one of them: 2.8 instead of 2 standard errors.
-            spread = 2.8 * np.sqrt(2.0) * loop.noise / np.sqrt(near) / gain
-    if where is None:
+        gain = float(np.ptp(flows[use]) / max(np.ptp(middle), 1e-300))
+        near = max(1.0, float(np.median(loop.rising.count)) * max(1.0, WINDOW * len(loop.rising.count)))
+        # The largest of some 50 windows stands further out than one of them: 2.8 instead of 2 standard errors.
+        spread = 2.8 * np.sqrt(2.0) * loop.noise / np.sqrt(near) / gain
+        widest.append((float(abs(smooth[n])), float(middle[n + window // 2]), spread))
+    if not widest:
         return {}
+    best, where, spread = max(widest, key=lambda each: each[0])
     around = np.abs(curve.signal - where) < 0.1 * curve.rated
     steepest = max(side.gain for side in sides.values() if side)
     spread += 0.5 * (resolution(curve.signal[around]) + resolution(curve.flow[around]) / steepest)
-    found = {"widest_at": where, "hysteresis_percent": curve.percent(abs(best))}
+    found = {"widest_at": where, "hysteresis_percent": curve.percent(best)}
     found["hysteresis_uncertainty_percent"] = curve.percent(spread)
-    if means:
-        found["mean_loop_percent"] = curve.percent(float(np.mean(means)))
-    return found
+    return found | ({"mean_loop_percent": curve.percent(float(np.mean(means)))} if means else {})
 
 
 def _threshold(

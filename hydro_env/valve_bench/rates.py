@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, Monotone, branches_of, loop_of
+from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, branches_of, loop_of
 from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
 
@@ -116,8 +116,6 @@ def _rate(signal: Floats, time: Floats, branch: Branch) -> float:
     # The middle half of the branch: at the turns a generator is slower, and a recording may wait there.
     quarter = (branch.stop - branch.start) // 4
     first, last = branch.start + quarter, branch.stop - 1 - quarter
-    if last <= first:
-        first, last = branch.start, branch.stop - 1
     passed = float(time[last] - time[first])
     return abs(float(signal[last] - signal[first])) / passed if passed > 0.0 else float("nan")
 
@@ -129,19 +127,16 @@ def _sweep(curve: Curve, branches: list[Branch], rate: float) -> Sweep:
     span, samples = float(np.ptp(loop.rising.flow)) or 1.0, float(np.sum(loop.rising.count))
     # What the scatter of the samples leaves uncertain in the mean width.
     uncertain = 2.0 * loop.noise / np.sqrt(max(samples, 1.0)) * float(np.ptp(loop.rising.signal)) / span
-    return Sweep(rate, _blocks(loop, loop.rising, loop.falling), uncertain)
-
-
-def _blocks(loop: Loop, rising: Monotone, falling: Monotone) -> Floats:
-    """Mean width of a loop in blocks of the flow."""
     if loop.kind != FLOW:
         flanks = flanks_of(loop)
         sides = list(flank_signals(*flanks[1]) - flank_signals(*flanks[-1]))
     else:
         whole = max(branch.largest(sign) for sign in (1, -1) for branch in loop.branches)
         tops = [(sign, min(branch.largest(sign) for branch in loop.branches)) for sign in (1, -1)]
-        sides = [widths(rising, falling, sign * top * HEIGHTS) for sign, top in tops if top > 0.05 * whole]
-    return np.array([float(part.mean()) for wide in sides for part in np.array_split(wide, BLOCKS)])
+        used = [sign * top for sign, top in tops if top > 0.05 * whole]
+        sides = [widths(loop.rising, loop.falling, top * HEIGHTS) for top in used]
+    blocks = [float(part.mean()) for wide in sides for part in np.array_split(wide, BLOCKS)]
+    return Sweep(rate, np.array(blocks), uncertain)
 
 
 def check_rates(curves: Sequence[Curve]) -> RateCheck:

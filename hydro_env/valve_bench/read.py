@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.errors import InputError, located, suggestion
+from hydro_env.errors import InputError, located
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
 from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
-from hydro_env.measured.table import Table
+from hydro_env.measured.table import Table, place_of
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -93,9 +93,6 @@ def _curve(table: Table, found: dict[str, str], columns: Columns, name: str) -> 
     if "time" in found:
         time = _times(values["time"], found["time"], columns.time_unit, table.lines[whole])
         return replace(curve, time=time)
-    for option, period in (("row", columns.row_period), ("sweep", columns.sweep_period)):
-        if period is not None and not period > 0.0:
-            raise InputError(f"--{option}-period is {period:g}, expected more than 0 s")
     if columns.row_period is not None:
         return replace(curve, time=np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float))
     if columns.sweep_period is None:
@@ -113,14 +110,7 @@ def _chosen(wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
         told = f"one column ({names[0] if names else 'none'})"
         raise InputError(f"{told}; a curve needs signal and flow, separated by commas, tabs or blanks")
     roles = {"signal": wanted.signal or "1", "flow": wanted.flow or "2", "time": wanted.time}
-    found: dict[str, str] = {}
-    for role, name in roles.items():
-        if name in names:
-            found[role] = name
-        elif name is not None and name.isdigit() and 1 <= int(name) <= len(names):
-            found[role] = names[int(name) - 1]
-        elif name is not None:
-            raise InputError(f"no column {name!r} for the {role}; {suggestion(name, names)}")
+    found = {role: names[place_of(names, name)] for role, name in roles.items() if name is not None}
     if len(set(found.values())) < len(found):
         raise InputError(f"signal, flow and time must be different columns, not {found}")
     return found
@@ -129,9 +119,7 @@ def _chosen(wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
 def _times(values: Floats, column: str, given: str | None, lines: Floats) -> Floats:
     """The times of the rows, s, from a column; `lines` are those of the file."""
     name = given or _in_header(column) or "s"
-    if unit(name).quantity != "time":
-        raise InputError(f"column {column!r}: {name!r} is no unit of time")
-    time = np.asarray(to_si(values, name))
+    time = np.asarray(to_si(values, _unit("time", column, name, False, ("time",)).name))
     back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         n = int(back[0]) + 1
@@ -160,8 +148,7 @@ def _unit(role: str, column: str, given: str | None, suffixed: bool, quantities:
         told = f"{name!r} is a unit of {known.quantity}, the {role} needs one of {', '.join(quantities)}"
         raise InputError(f"column {column!r}: {told}; is it the right column?")
     if given is None and suffixed and known.name[:1] in "mku" and known.name not in ("m", "m3/s", "m3/h"):
-        raise InputError(
-            f"column {column!r}: numbers carry suffixes such as 1m and the header's unit is {name}, so the prefix may "
-            f"count once or twice; say which by --{role}-unit, {name[1:]} if 1m means 1 {name}"
-        )
+        told = f"column {column!r}: numbers carry suffixes such as 1m and the header's unit is {name}"
+        which = f"so the prefix may count once or twice; say which by --{role}-unit"
+        raise InputError(f"{told}, {which}, {name[1:]} if 1m means 1 {name}")
     return known
