@@ -17,9 +17,10 @@ import typer
 from hydro_env.cli.app import app
 from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_by_signals, to_install
 
+#: Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
+#: to search them again and again takes longer than what there is to find is worth.
 GARBAGE = 1_000_000
-"""Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
-to search them again and again takes longer than what there is to find is worth."""
+#: Which optional libraries an extra of the package holds.
 EXTRAS = {
     "report": "plotly jinja2 matplotlib",
     "measured": "pandas asammdf nptdms",
@@ -30,7 +31,6 @@ EXTRAS = {
     "lab": "nicegui fastapi uvicorn",
     "live": "asyncua",
 }
-"""Which optional libraries an extra of the package holds."""
 
 
 class _PatientOutput:

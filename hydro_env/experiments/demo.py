@@ -31,22 +31,22 @@ from hydro_env.pages import COLOURS, beside_results, figure, png, render, svg
 from hydro_env.practice import command as hide
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
+#: What the third part hides.
 HIDDEN = ("dead_zone:1",)
-"""What the third part hides."""
 
+#: Columns of the leaderboard: scenario, metric, heading. The first two are drawn.
 BOARD = (
     ("setpoint_steps", "max_speed_difference_rpm", "set-point steps: peak synchronisation error, rpm"),
     ("setpoint_steps", "tracking_mae_rpm", "set-point steps: mean absolute tracking error, rpm"),
     ("load_step", "max_speed_difference_rpm", "load step: peak synchronisation error, rpm"),
     ("load_step", "tracking_mae_rpm", "load step: mean absolute tracking error, rpm"),
 )
-"""Columns of the leaderboard: scenario, metric, heading. The first two are drawn."""
 PAPER, TUNED, BOUND = "pid_paper", "pid_tuned", "oracle"
+#: The one split of the quick suite; the animation shows one of its cases.
 SPLIT = "test_interp"
-"""The one split of the quick suite; the animation shows one of its cases."""
 
+#: The agent for every rig, and the split of rigs that it was not trained on.
 ANY, UNSEEN = "gru_any", "test_any"
-"""The agent for every rig, and the split of rigs that it was not trained on."""
 
 GAPS = (
     ("before", "model as given"),

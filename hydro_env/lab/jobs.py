@@ -31,15 +31,15 @@ class Job:
 
     state: str = "running"
     stage: str = "starting"
+    #: Of the stages that are over, 0 to 1.
     share: float = 0.0
-    """Of the stages that are over, 0 to 1."""
     simulations: int = 0
     warnings: tuple[str, ...] = ()
     problem: str = ""
+    #: The words "verdict" and "summary" of a diagnosis, "text" and "mapping" of an inspection.
     result: Mapping[str, Any] | None = None
-    """The words "verdict" and "summary" of a diagnosis, "text" and "mapping" of an inspection."""
+    #: Name of the folder of results, below the one of all.
     folder: str = ""
-    """Name of the folder of results, below the one of all."""
 
 
 class Jobs:

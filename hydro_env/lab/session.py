@@ -55,18 +55,18 @@ class Snapshot:
     time: float
     angle: tuple[float, float]
     past: Floats
+    #: In force, those of the scenario included.
     load_Nm: tuple[float, float]
-    """In force, those of the scenario included."""
+    #: Every parameter of the effects offered, as it is on both channels, SI.
     effects: dict[str, tuple[float, float]]
-    """Every parameter of the effects offered, as it is on both channels, SI."""
+    #: Of the rig, and so of what is set by hand.
     reach: Reach
-    """Of the rig, and so of what is set by hand."""
+    #: What is to be known of the controller, "" for nothing.
     note: str
-    """What is to be known of the controller, "" for nothing."""
+    #: What went wrong last, in one line, "" for nothing.
     problem: str
-    """What went wrong last, in one line, "" for nothing."""
+    #: Seconds of the log that is being recorded.
     recorded: float | None
-    """Seconds of the log that is being recorded."""
 
     @property
     def now(self) -> dict[str, float]:

@@ -32,8 +32,8 @@ class Seen:
     running: bool
     tempo: float
     reached: float
+    #: Why the last change was refused, "" if it was made.
     refused: str
-    """Why the last change was refused, "" if it was made."""
 
 
 class Worker:

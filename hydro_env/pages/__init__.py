@@ -33,17 +33,17 @@ __all__ = [
     "COLOURS", "beside_results", "figure", "fill", "import_in_background", "legend", "png", "render", "svg",
 ]  # fmt: skip
 
+#: Line colours that can be told apart on white and on dark, also by most colour-blind eyes.
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
-"""Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
 
+#: Stands for the page's own text colour in an SVG until `svg` puts that in its place.
 INK = "#123456"
-"""Stands for the page's own text colour in an SVG until `svg` puts that in its place."""
 
+#: Width of a figure, inches.
 WIDTH = 8.6
-"""Width of a figure, inches."""
 
+#: Room for a row of a legend above axes, for numbers and a label below or for ticks alone, and on the right, inches.
 ABOVE, BELOW, TICKS, RIGHT = 0.3, 0.45, 0.06, 0.1
-"""Room for a row of a legend above axes, for numbers and a label below or for ticks alone, and on the right, inches."""
 
 RC: Any = {
     "svg.fonttype": "none",
