@@ -17,12 +17,12 @@ from typing import Any
 from tqdm import tqdm
 
 from ...diagnosis import Diagnosis, diagnose
-from ...errors import InputError
+from ...errors import check_known
 from ...files import write_json
 from ...plant import BUILT_IN
 from ...reading import read_json
 from .answers import answer, read_answer
-from .calibrated import name_beside
+from .calibrated import begin
 from .certainty import WHOLE
 from .dialogue import Designer, asked, converse
 from .sets import read_set
@@ -42,6 +42,12 @@ def diagnosed(folder: Path, answers: Sequence[Path] = ()) -> Diagnosis:
 def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
     start = time.process_time()
     return _answer(diagnosed(folder), folder, out, start)
+
+
+def _calibrate(folder: Path, out: Path) -> dict[str, Any]:
+    start = begin(folder)
+    start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
+    return answer(folder.name, start.verdict, [], start.seconds, model=f"{folder.name}.yaml")
 
 
 def _answer(found: Diagnosis, folder: Path, out: Path, start: float) -> dict[str, Any]:
@@ -65,16 +71,14 @@ def asking(design: Designer, folder: Path, out: Path) -> dict[str, Any] | None:
 
 METHODS: dict[str, Method] = {
     "diagnose": _diagnose,
-    "calibrate": partial(name_beside, lambda start: []),
+    "calibrate": _calibrate,
     "ask": partial(asking, asked),
 }
 
 
 def chosen(words: Sequence[str], methods: Mapping[str, Method]) -> dict[str, Method]:
     """The methods of these names, or all for `all`. InputError for a name that none has."""
-    for word in words:
-        if word != "all" and word not in methods:
-            raise InputError(f"unknown method {word!r}: known are {', '.join(methods)}, or all")
+    check_known("unknown method", words, [*methods, "all"])
     return dict(methods) if "all" in words else {word: methods[word] for word in words}
 
 
