@@ -18,12 +18,6 @@ from hydro_env.lab.worker import Worker
 LOOK = 0.3
 ROLES = {"fit": "to fit", "held_out": "held out", "": "not used"}
 LABEL = "Logs (CSV, Parquet, MAT, MDF4, TDMS), mapping or model (YAML): drop files here, or choose"
-VERDICTS = {
-    "none": "the model explains the logs",
-    "calibration": "the model explains the logs once known parameters are calibrated",
-    "effects": "effects are missing",
-    "unknown": "something is missing that no known effect explains",
-}
 
 
 class DiagnosisPage:
@@ -132,8 +126,7 @@ class DiagnosisPage:
 
     def _show_result(self, folder: str, result: Any) -> None:
         if "verdict" in result:
-            verdict = f"Verdict: {result['verdict']}: {VERDICTS.get(result['verdict'], '')}."
-            ui.label(verdict).style("font-weight: 600")
+            ui.label(f"Verdict: {result['verdict']}.").style("font-weight: 600")
             ui.link("Open the report", f"/results/{folder}/report.html", new_tab=True)
             ui.label(f"Written to {folder} in --out.").classes("lab-soft")
             _text(result["summary"])
@@ -148,8 +141,7 @@ class DiagnosisPage:
     def _use_mapping(self, text: str) -> None:
         for upload in [each for each in self._uploads.files if each.role == "mapping"]:
             self._uploads.remove(upload)
-        path = self._uploads.store("mapping.yaml", text)
-        self._uploads.add(path, "mapping.yaml (from this page)", "mapping")
+        self._uploads.store("mapping.yaml", text, "mapping.yaml (from this page)", "mapping")
 
 
 def _text(text: str) -> None:

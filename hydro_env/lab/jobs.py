@@ -65,9 +65,8 @@ class Jobs:
             raise InputError(f"--out {self._out}: cannot write there ({problem.strerror})") from None
         self._cancelled, self.latest = False, Job()
         messages, writer = _CONTEXT.Pipe(duplex=False)
-        task = {"diagnose": _diagnose, "inspect": _inspect}[what]
         given = {"fit": fit, "held_out": held_out, "model": model, "mapping": mapping, "out": work}
-        self._process = _CONTEXT.Process(target=_do, args=(task, given, writer), daemon=True)
+        self._process = _CONTEXT.Process(target=_do, args=(what, given, writer), daemon=True)
         self._process.start()
         writer.close()  # so that the pipe ends with the process
         self._thread = threading.Thread(
@@ -90,13 +89,13 @@ class Jobs:
 
     # --- in the thread that follows the process -------------------------------------------------------------------
     def _follow(self, messages: Connection, work: Path) -> None:
-        assert self.latest is not None
-        job = self.latest
+        job = Job()
         with suppress(EOFError, OSError):  # the process has ended
             while True:
                 changes = messages.recv()
-                added = changes.pop("warnings", ())
-                job = self.latest = replace(job, **changes, warnings=(*job.warnings, *added))
+                for counted in changes.keys() & {"warnings", "simulations"}:
+                    changes[counted] = getattr(job, counted) + changes[counted]
+                job = self.latest = replace(job, **changes)
         self._process.join()
         try:
             ended = self._ended(job, work)
@@ -122,8 +121,8 @@ class Jobs:
 
 
 # --- in the process -----------------------------------------------------------------------------------------------
-def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Connection) -> None:
-    """Does a task; each message has the words of `Job` that change."""
+def _do(what: str, given: dict[str, Any], messages: Connection) -> None:
+    """Does a task; each message has the words of `Job` that change, of warnings and simulations those that are new."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which then ends this process
     speaking = threading.Lock()
 
@@ -141,7 +140,7 @@ def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Co
     warnings.simplefilter("once", InputWarning)
     warnings.showwarning = show
     try:
-        say(result=task(say, **given))
+        say(result={"diagnose": _diagnose, "inspect": _inspect}[what](say, **given))
     except InputError as problem:
         say(problem=str(problem))
     except Exception as problem:
@@ -158,13 +157,9 @@ def _diagnose(
     from hydro_env.diagnosis import STAGES, workflow
 
     numbers = {text: number for number, text in enumerate(STAGES.values())}
-    simulations, counting = 0, threading.Lock()
 
     def progress(text: str, more: int) -> None:
-        nonlocal simulations
-        with counting:
-            simulations += more
-        say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=simulations)
+        say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=more)
 
     if not held_out:
         fit, held_out = _in_two(fit, mapping)

@@ -53,10 +53,10 @@ class Snapshot:
 
     settings: Settings
     time: float
-    angle: tuple[float, float]
+    angle: tuple[float, ...]
     past: Floats
     #: In force, those of the scenario included.
-    load_Nm: tuple[float, float]
+    load_Nm: tuple[float, ...]
     #: Every parameter of the effects offered, as it is on both channels, SI.
     effects: dict[str, tuple[float, float]]
     #: Of the rig, and so of what is set by hand.
@@ -85,12 +85,11 @@ class Session:
         self._streams = np.random.SeedSequence(seed)
         self._recording: Recording | None = None
         self.finished_log = ""
-        self.problem = ""
-        chosen = self.settings
-        self._rig = self._made(chosen.preset, chosen.split, chosen.number)
+        self._rig = LiveRig(self.settings.preset, noise=noise, seed=seed)
+        self._rig.take_pair(self.settings.split, self.settings.number)
         self._effects = self._rig.values()
-        self._controller = make_controller(chosen.controller)
-        self.choose_scenario(chosen.scenario)
+        self.choose_controller(self.settings.controller)
+        self.choose_scenario(self.settings.scenario)
         self.reset()
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
@@ -98,10 +97,11 @@ class Session:
         """Puts in another pair of valves. Effects set by hand are kept. Another preset restarts the rig, with nothing set by
         hand."""
         number = CASES.check(number, "pair")
-        if preset == self.settings.preset:
-            self._rig.take_pair(split, number)
-        else:
-            self._rig = self._made(preset, split, number)
+        same = preset == self.settings.preset
+        rig = self._rig if same else LiveRig(preset, noise=self._noise, seed=self._seed)
+        rig.take_pair(split, number)
+        if not same:
+            self._rig = rig
             self.settings = replace(self.settings, setpoint_rpm=0.0, load_Nm=(0.0, 0.0))
             self.reset()
         self.settings = replace(self.settings, preset=preset, split=split, number=number)
@@ -110,6 +110,7 @@ class Session:
     def choose_controller(self, name: str) -> None:
         """Lets another controller take over, from where the rig stands."""
         self._controller = make_controller(name)
+        self._needs = str(getattr(self._controller, "needs", "measurements"))
         self.settings = replace(self.settings, controller=name)
         self.problem = ""
         self._fresh = True
@@ -180,7 +181,9 @@ class Session:
         """One control period. A controller that fails leaves both valves without command, and `problem` says why."""
         setpoint, load = self._wanted()
         reading = self._reading = self._rig.sense(setpoint)
-        self._remember(reading, setpoint)
+        one, two = reading.speed_rpm
+        row = [self._rig.time, setpoint, one, two, one - two, *reading.command_V]
+        self._past = np.vstack([self._past[-SHOWN + 1 :], row])
         action = self._action(reading)
         rows = self._rig.hold(action, load, record=self._recording is not None)
         if self._recording is not None:
@@ -200,13 +203,13 @@ class Session:
     def snapshot(self) -> Snapshot:
         """The session as it is."""
         _, load = self._wanted()
-        angle = (0.0, 0.0) if self._reading is None else self._reading.angle
+        angle = np.zeros(2) if self._reading is None else self._reading.angle
         return Snapshot(
             self.settings,
             self._rig.time,
-            (float(angle[0]), float(angle[1])),
+            tuple(angle.tolist()),
             self._past,
-            (float(load[0]), float(load[1])),
+            tuple(load.tolist()),
             self._effects,
             self._rig.reach,
             self._note(),
@@ -218,11 +221,6 @@ class Session:
     def _stream(self) -> np.random.Generator:
         return np.random.default_rng(self._streams.spawn(1)[0])
 
-    def _made(self, preset: str, split: str, number: int) -> LiveRig:
-        rig = LiveRig(preset, noise=self._noise, seed=self._seed)
-        rig.take_pair(split, number)
-        return rig
-
     def _wanted(self) -> tuple[float, Floats]:
         """Set-point in rpm and loads (2,) in N m that are in force from now on."""
         own = np.array(self.settings.load_Nm)
@@ -230,27 +228,24 @@ class Session:
             return self.settings.setpoint_rpm, own
         return float(self._reference.setpoint[self._row]) / RPM, self._reference.load[self._row] + own
 
-    @property
-    def _needs(self) -> str:
-        return str(getattr(self._controller, "needs", "measurements"))
-
     def _rig_changed(self) -> None:
         """A controller that knows the valves restarts with what they now are."""
         self._effects = self._rig.values()
-        if self._needs != "measurements":
-            self._fresh = True
+        self._fresh |= self._needs != "measurements"
 
     def _loads_changed(self) -> None:
         """A controller that knows the loads to come restarts with what they now are."""
-        if self._needs == "everything":
-            self._fresh = True
+        self._fresh |= self._needs == "everything"
 
     def _action(self, reading: Reading) -> Floats:
         if self.problem:
             return np.zeros(2)
         try:
             if self._fresh:
-                self._tell()
+                loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
+                coming = (loads + np.array(self.settings.load_Nm))[:, None, :]
+                inform(self._controller, self._rig.model, self._rig.plant, lambda: coming)
+                self._controller.reset(1, PERIOD)
                 self._fresh = False
             action = np.asarray(self._controller.act(reading.observation), dtype=float).reshape(2)
             if not np.isfinite(action).all():
@@ -259,17 +254,6 @@ class Session:
         except Exception as problem:  # a controller of the user's may raise anything
             self.problem = str(InputError(f"{self.settings.controller} failed and was stopped: {problem}"))
             return np.zeros(2)
-
-    def _tell(self) -> None:
-        loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
-        coming = (loads + np.array(self.settings.load_Nm))[:, None, :]
-        inform(self._controller, self._rig.model, self._rig.plant, lambda: coming)
-        self._controller.reset(1, PERIOD)
-
-    def _remember(self, reading: Reading, setpoint: float) -> None:
-        one, two = reading.speed_rpm
-        row = [self._rig.time, setpoint, one, two, one - two, *reading.command_V]
-        self._past = np.vstack([self._past[-SHOWN + 1 :], row])
 
     def _note(self) -> str:
         notes = []

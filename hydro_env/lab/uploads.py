@@ -78,11 +78,11 @@ class Uploads:
         if upload.path.parent == Path(self._folder.name):
             upload.path.unlink(missing_ok=True)
 
-    def store(self, name: str, text: str) -> Path:
-        """A text as a file of the temporary folder."""
-        path = Path(self._folder.name) / name
+    def store(self, file: str, text: str, name: str, role: str) -> None:
+        """Lists a text, as a file of the temporary folder."""
+        path = Path(self._folder.name) / file
         path.write_text(text, encoding="utf-8")
-        return path
+        self.add(path, name, role)
 
     def with_role(self, role: str) -> list[Path]:
         """The files of a role, in their order."""
