@@ -9,7 +9,8 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NoReturn, TextIO
 
 import typer
@@ -42,26 +43,23 @@ class _PatientOutput:
 
     def write(self, text: str) -> int:
         """Writes, or does nothing once the reader has gone."""
-        try:
-            return self._stream.write(text)
-        except OSError as problem:
-            self._to_nowhere(problem)
-            return len(text)
+        self._as_far_as_read(partial(self._stream.write, text))
+        return len(text)
 
     def flush(self) -> None:
         """The same for what is still in the buffer."""
-        try:
-            self._stream.flush()
-        except OSError as problem:
-            self._to_nowhere(problem)
+        self._as_far_as_read(self._stream.flush)
 
-    def _to_nowhere(self, problem: OSError) -> None:
-        # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, self._stream.fileno())
-        os.close(nowhere)
-        if self._stream.fileno() == 1 and not isinstance(problem, BrokenPipeError):
-            raise OSError(problem.errno, problem.strerror, "standard output") from None
+    def _as_far_as_read(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except OSError as problem:
+            # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+            if self._stream.fileno() == 1 and not isinstance(problem, BrokenPipeError):
+                raise OSError(problem.errno, problem.strerror, "standard output") from None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +47,8 @@ CASES: dict[str, tuple[str, ...]] = {
 }
 #: What scores are made on. Tuning has seen none of them.
 SCENARIOS = ("setpoint_steps", "load_step", "sine")
-#: Largest error of a base parameter of the model that the engineer has.
-BASE_ERROR = 0.1
+#: Largest error of a base parameter of the model that the engineer has, and the length of each log, s.
+BASE_ERROR, DURATION = 0.1, 12.0
 #: Controllers as shipped, which know no model of the rig.
 SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
 
@@ -87,14 +87,13 @@ class RigTask:
 
     case: str
     seed: int
-    duration: float = 12.0
 
     def __str__(self) -> str:
         return f"{self.case}_{self.seed}"
 
     @property
     def key(self) -> str:
-        return f"rig {CASES[self.case]} {self.number} {self.duration} {BASE_ERROR}"
+        return f"rig {CASES[self.case]} {self.number} {DURATION} {BASE_ERROR}"
 
     @property
     def number(self) -> int:
@@ -104,7 +103,7 @@ class RigTask:
     def run(self) -> Rig:
         """Hides, logs and diagnoses."""
         practice = make_practice(
-            CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=self.duration
+            CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=DURATION
         )
         with tempfile.TemporaryDirectory() as folder:
             practice.write(Path(folder))
@@ -189,7 +188,6 @@ class Settings:
     Args:
         cases: names of `CASES`.
         seeds: rigs of each case, with the seeds `seed`, `seed + 1`, ...
-        duration: of each log, s.
         generations: of every search for gains.
 
     InputError for an unknown case or a number that cannot be.
@@ -198,17 +196,12 @@ class Settings:
     cases: tuple[str, ...] = tuple(CASES)
     seeds: int = 2
     seed: int = 0
-    duration: float = 12.0
     generations: int = tuning.GENERATIONS
 
     def __post_init__(self) -> None:
         check_known("unknown case", self.cases, CASES)
         if self.seeds < 1 or self.seed < 0 or self.seed + self.seeds > 100:
             raise InputError(f"seeds {self.seed} to {self.seed + self.seeds - 1}: 0 to 99 are right")
-
-    def rigs(self) -> list[RigTask]:
-        """The rigs to be made."""
-        return [RigTask(case, self.seed + n, self.duration) for case in self.cases for n in range(self.seeds)]
 
 
 def run(
@@ -236,12 +229,20 @@ def run(
         failed.extend({"task": str(t), "reason": r.reason} for t, r in results if isinstance(r, Failure))
         return [(t, r) for t, r in results if not isinstance(r, Failure)]
 
-    rigs = [rig for _, rig in done(settings.rigs(), "rig")]
+    numbers = range(settings.seed, settings.seed + settings.seeds)
+    rigs = [rig for _, rig in done([RigTask(*each) for each in product(settings.cases, numbers)], "rig")]
     if not rigs:
         raise InputError(f"no rig could be made: {failed[0]['reason']}")
-    wanted = [(rig, _tuning(rig, *each, settings)) for rig in rigs for each in product(tuning.LAWS, SOURCES)]
-    tuned = dict(done(list(dict.fromkeys(task for _, task in wanted)), "tuning"))
-    scores = [{**task.row(), **result} for task, result in done(_drives(wanted, tuned), "drive")]
+    wanted = {rig.name: _tunings(rig, settings.generations) for rig in rigs}
+    tuned = dict(done(list(dict.fromkeys(chain(*wanted.values()))), "tuning"))
+    drives: list[
+        Score
+    ] = []  # of every law that could be tuned and every shipped controller, on every rig and scenario
+    for rig, scenario in product(rigs, SCENARIOS):
+        own = [task for task in wanted[rig.name] if task in tuned]
+        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
+        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
+    scores = [{**task.row(), **result} for task, result in done(drives, "drive")]
     data = {
         "schema": SCHEMA, "settings": _settings_row(settings, rigs), "rigs": [rig.row() for rig in rigs],
         "gains": [{**task.row(), **found} for task, found in tuned.items()], "scores": scores,
@@ -252,26 +253,20 @@ def run(
     return data
 
 
-def _tuning(rig: Rig, law: str, source: str, settings: Settings) -> tuning.Tuning:
-    """A law on a model of a rig; the wrong model is one for all rigs of a seed."""
-    name = "" if source == "wrong" else rig.name
-    return tuning.Tuning(law, source, name, rig.models[source], rig.seed, settings.generations)
-
-
-def _drives(wanted: Sequence[tuple[Rig, tuning.Tuning]], tuned: Mapping[tuning.Tuning, Any]) -> list[Score]:
-    """Every law that could be tuned and every shipped controller, on every rig and scenario."""
-    drives = []
-    for rig, scenario in product({rig.name: rig for rig, _ in wanted}.values(), SCENARIOS):
-        own = [task for other, task in wanted if other is rig and task in tuned]
-        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
-        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
-    return drives
+def _tunings(rig: Rig, generations: int) -> list[tuning.Tuning]:
+    """Every law on every model of a rig; the wrong model is one for all rigs of a seed."""
+    return [
+        tuning.Tuning(
+            law, source, "" if source == "wrong" else rig.name, rig.models[source], rig.seed, generations
+        )
+        for law, source in product(tuning.LAWS, SOURCES)
+    ]
 
 
 def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
     return {
         "cases": {case: list(CASES[case]) for case in settings.cases}, "seeds": [settings.seed, settings.seeds],
-        "base_error": BASE_ERROR, "log_s": settings.duration, "tuned_on": load_scenario(tuning.TUNED_ON).name,
+        "base_error": BASE_ERROR, "log_s": DURATION, "tuned_on": load_scenario(tuning.TUNED_ON).name,
         "episodes_of_a_tuning": tuning.TUNING_EPISODES * tuning.POPULATION * settings.generations,
         "weight": tuning.WEIGHT,
         "truth": "practice.reference, forms: " + ", ".join(sorted({rig.truth["forms"] for rig in rigs})),

@@ -144,8 +144,17 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
         if (name, *BOARD[0][:2]) in cells
     }
     plain = [name for name in at if not privileged_information(scores, name)]
-    shown = _chosen(at, plain)
-    agent = next(name for name in shown if _learned(name))
+    law, agent = (
+        min((name for name in plain if _learned(name) is learned), key=lambda name: at[name][1])
+        for learned in (False, True)
+    )
+    shown = {
+        PAPER: "Table III of the paper",
+        TUNED: "the same law, gains found by search",
+        law: "the law with the lowest peak error, without privileged information",
+        agent: "the learned agent with the lowest peak error",
+        BOUND: "the bound",
+    }
     titles = {PAPER: f"The paper's PID ({PAPER})", agent: f"The best agent ({agent})"}
     seeds = range(scores["seed"], scores["seed"] + scores["splits"][SPLIT])
     rows = []
@@ -168,20 +177,6 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
 def _learned(name: str) -> bool:
     file = CONTROLLERS[name].file
     return file is not None and file.suffix == ".npz"
-
-
-def _chosen(at: dict[str, list[float]], plain: list[str]) -> dict[str, str]:
-    """The rows that the page shows, and why these; see `_front`."""
-    by_peak = sorted(plain, key=lambda name: at[name][1])
-    law = next(name for name in by_peak if not _learned(name))
-    agent = next(name for name in by_peak if _learned(name))
-    return {
-        PAPER: "Table III of the paper",
-        TUNED: "the same law, gains found by search",
-        law: "the law with the lowest peak error, without privileged information",
-        agent: "the learned agent with the lowest peak error",
-        BOUND: "the bound",
-    }
 
 
 def _front(at: dict[str, list[float]], plain: list[str], shown: dict[str, str]) -> Any:

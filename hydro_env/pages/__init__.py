@@ -184,15 +184,8 @@ def _as_written(drawing: Figure) -> None:
     """Shows all texts but the numbers at the axes as they are: a name with two "$" is not a formula."""
     from matplotlib.text import Text
 
-    texts = list(drawing.texts)
-    for axis in drawing.axes:
-        texts += [child for child in axis.get_children() if isinstance(child, Text)]
-        texts += [
-            axis.xaxis.label,
-            axis.yaxis.label,
-            *(key.get_texts() if (key := axis.get_legend()) else ()),
-        ]
-    for text in texts:
+    sides = [side for axis in drawing.axes for side in (axis.xaxis, axis.yaxis)]
+    for text in {*drawing.findobj(Text)}.difference(*(side.get_ticklabels(which="both") for side in sides)):
         text.set_parse_math(False)
 
 

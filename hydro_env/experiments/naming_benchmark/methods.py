@@ -39,38 +39,29 @@ def diagnosed(folder: Path, answers: Sequence[Path] = ()) -> Diagnosis:
     return diagnose(logs, [folder / "validation.csv"], folder / "model.yaml", without=without)
 
 
-def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
-    start = time.process_time()
-    return _answer(diagnosed(folder), folder, out, start)
-
-
 def _calibrate(folder: Path, out: Path) -> dict[str, Any]:
     start = begin(folder)
     start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
     return answer(folder.name, start.verdict, [], start.seconds, model=f"{folder.name}.yaml")
 
 
-def _answer(found: Diagnosis, folder: Path, out: Path, start: float) -> dict[str, Any]:
-    """The answer of a diagnosis that was begun at the processor time `start`, and its files."""
-    data = found.as_dict()
-    effects = [{k: e[k] for k in ("name", "channel", "probability")} for e in data["effects"]]
-    verdict = found.verdict
-    (out / WHOLE).mkdir(exist_ok=True)
-    write_json(out / WHOLE / f"{folder.name}.json", data)
-    found.model.to_yaml(out / f"{folder.name}.yaml", source="diagnosis of logs")
-    named = effects if verdict == "effects" else []
-    return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")
-
-
 def asking(design: Designer, folder: Path, out: Path) -> dict[str, Any] | None:
     """Diagnoses a rig, asks it what `design` proposes, and diagnoses again; None while a question waits for an answer."""
     start = time.process_time()
     found = converse(design, partial(diagnosed, folder), folder, out / folder.name)
-    return None if found is None else _answer(found, folder, out, start)
+    if found is None:
+        return None
+    data, name = found.as_dict(), f"{folder.name}.yaml"
+    (out / WHOLE).mkdir(exist_ok=True)
+    write_json(out / WHOLE / f"{folder.name}.json", data)
+    found.model.to_yaml(out / name, source="diagnosis of logs")
+    effects = data["effects"] if found.verdict == "effects" else []
+    named = [{key: effect[key] for key in ("name", "channel", "probability")} for effect in effects]
+    return answer(folder.name, found.verdict, named, time.process_time() - start, model=name)
 
 
 METHODS: dict[str, Method] = {
-    "diagnose": _diagnose,
+    "diagnose": partial(asking, lambda found, rng: None),
     "calibrate": _calibrate,
     "ask": partial(asking, asked),
 }
