@@ -129,23 +129,20 @@ def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> 
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({**RC, **{f"{name}color": INK for name in _INKED}}):
+    with matplotlib.rc_context({**RC, **dict.fromkeys(_INKED, INK)}):
         made = Figure(figsize=(WIDTH, height * rows), layout="constrained" if left is None else None)
-        places = None if left is None else _places(rows, height * rows, left)
-        axes = made.subplots(rows, sharex=True, squeeze=False, gridspec_kw=places)[:, 0]
+        if left is not None:
+            whole, between = height * rows, ABOVE + TICKS
+            each = (whole - ABOVE - BELOW - between * (rows - 1)) / rows
+            ends = {"bottom": BELOW / whole, "top": 1.0 - ABOVE / whole}
+            made.subplots_adjust(left / WIDTH, right=1.0 - RIGHT / WIDTH, **ends, hspace=between / each)
+        axes = made.subplots(rows, sharex=True, squeeze=False)[:, 0]
     return made, list(axes)
 
 
-def _places(rows: int, height: float, left: float) -> dict[str, float]:
-    """Where `rows` axes stand in a figure of `height` inches, as Matplotlib's `GridSpec` takes it."""
-    between = ABOVE + TICKS
-    each = (height - ABOVE - BELOW - between * (rows - 1)) / rows
-    ends = {"bottom": BELOW / height, "top": 1.0 - ABOVE / height}
-    return {"left": left / WIDTH, "right": 1.0 - RIGHT / WIDTH, **ends, "hspace": between / each}
-
-
 _INKED = (
-    "text.", "axes.label", "axes.edge", "axes.title", "grid.", "xtick.", "ytick.", "xtick.label", "ytick.label",
+    "text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "grid.color", "xtick.color", "ytick.color",
+    "xtick.labelcolor", "ytick.labelcolor",
 )  # fmt: skip
 
 
