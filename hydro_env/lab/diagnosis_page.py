@@ -25,7 +25,7 @@ class DiagnosisPage:
 
     def __init__(self, worker: Worker, uploads: Uploads, jobs: Jobs) -> None:
         self._worker, self._uploads, self._jobs = worker, uploads, jobs
-        self._listed: list[tuple[str, str]] = []
+        self._listed: list[Upload] = []
         self._shown: Any = None
 
     def show(self) -> None:
@@ -63,9 +63,12 @@ class DiagnosisPage:
 
     def _list(self) -> None:
         """Lists the files again; a model that has come is the one to diagnose, and one that has gone no longer is."""
-        listed = self._uploads.listed
-        new = [path for path, role in listed if role == "model" and (path, role) not in self._listed]
-        self._listed = listed
+        new = [
+            str(each.path)
+            for each in self._uploads.files
+            if each.role == "model" and each not in self._listed
+        ]
+        self._listed = [*self._uploads.files]
         rigs = self._uploads.rigs(self._worker.seen.session.settings.preset)
         kept = self._model.value if self._model.value in rigs else next(iter(rigs))
         self._model.set_options(rigs, value=new[-1] if new else kept)
@@ -75,10 +78,6 @@ class DiagnosisPage:
                 self._list_one(upload)
 
     def _list_one(self, upload: Upload) -> None:
-        def choose(event: Any) -> None:
-            upload.role = event.value
-            self._listed = self._uploads.listed
-
         def remove() -> None:
             self._uploads.remove(upload)
             self._list()
@@ -87,7 +86,7 @@ class DiagnosisPage:
             with ui.element("span"):
                 ui.label(upload.name)
             if upload.role in ROLES:
-                use = ui.select(ROLES, value=upload.role, on_change=choose)
+                use = ui.select(ROLES).bind_value(upload, "role")
                 use.props["aria-label"] = f"use of {upload.name}"
             else:
                 ui.label(upload.role)
@@ -106,7 +105,7 @@ class DiagnosisPage:
             self._problem.text = str(problem)
 
     def _refresh(self) -> None:
-        if self._uploads.listed != self._listed:
+        if self._uploads.files != self._listed:
             self._list()
         job = self._jobs.latest
         if job is None or job is self._shown:

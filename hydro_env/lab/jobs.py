@@ -82,9 +82,8 @@ class Jobs:
     def cancel(self) -> None:
         """Ends the task that runs; nothing is left of it."""
         self._cancelled = True
-        if self._process is not None:
-            self._process.kill()
         if self._thread is not None:
+            self._process.kill()
             self._thread.join()
 
     # --- in the thread that follows the process -------------------------------------------------------------------

@@ -1,10 +1,12 @@
-"""The session: a rig, the controller that drives it, the scenario it follows, and its signals of the last seconds.
+"""The session: a rig, the controller that drives it, the scenario it follows, its signals of the last seconds, and logs of it.
 
-A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock.
+A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock. A log is as it
+would come from a rig: columns, noise and resolution of the practice logs, at 1 kHz.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +16,11 @@ from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.rollout import inform
 from hydro_env.errors import InputError
-from hydro_env.lab.recording import MAX_SECONDS, Recording
-from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
+from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
+from hydro_env.plant import Scales
+from hydro_env.practice.recorder import COLUMNS as LOGGED
+from hydro_env.practice.recorder import SENSORS, columns_of, log_text
 from hydro_env.tasks import load_scenario
 from hydro_env.units import RPM
 
@@ -32,6 +36,10 @@ COLUMNS = (
 TUNED_FOR = "paper_dead_zone"
 #: Numbers of pairs of valves.
 CASES = Limits(0, 2**31 - 1, whole=True)
+#: Seconds after which a recording ends by itself.
+MAX_SECONDS = 120.0
+
+_READ = {sensor.signal: name for name, sensor in SENSORS.items() if sensor.signal in RECORDED}
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,44 @@ class Snapshot:
         """The newest row of `past` by column, zeros before there is one."""
         row = self.past[-1] if len(self.past) else np.zeros(len(COLUMNS))
         return dict(zip(COLUMNS, map(float, row), strict=True))
+
+
+class Recording:
+    """Rows of a log, a control period at a time. The readings that a controller got stand in the first row of each."""
+
+    def __init__(self, seed: int, scales: Scales) -> None:
+        self._columns = columns_of(scales)
+        self._stream = np.random.default_rng(seed)
+        self._periods: list[dict[str, Floats]] = []
+
+    @property
+    def seconds(self) -> float:
+        """How long it is, s."""
+        return len(self._periods) * PERIOD
+
+    def add(
+        self, setpoint_rpm: float, command_V: Floats, load_Nm: Floats, noise: Floats, signals: Mapping[str, Floats]
+    ) -> None:  # fmt: skip
+        """Adds a control period: what was in force, (2,) each, the sensors' noise at its beginning (6,), and what
+        `LiveRig.hold` recorded."""
+        rows = {"setpoint": np.full((SAMPLES, 1), setpoint_rpm)}
+        rows |= {"command": np.tile(command_V, (SAMPLES, 1)), "load": np.tile(load_Nm, (SAMPLES, 1))}
+        for name, first in zip(RECORDED, noise.reshape(3, 2), strict=True):
+            sensor = self._columns[_READ[name]]
+            errors = self._stream.standard_normal((SAMPLES, 2))
+            errors[0] = first
+            shown = signals[name] / sensor.size + sensor.noise * errors
+            rows[_READ[name]] = np.round(shown / sensor.resolution) * sensor.resolution
+        self._periods.append(rows)
+
+    def text(self) -> str:
+        """The log as CSV."""
+        rows = {name: np.vstack([period[name] for period in self._periods]) for name in self._periods[0]}
+        setpoint = rows.pop("setpoint")[:, 0]
+        columns = {"time_s": np.arange(len(setpoint)) * PERIOD / SAMPLES, "setpoint_rpm": setpoint}
+        for c in (0, 1):
+            columns |= {f"{n}_{c + 1}_{LOGGED[n].unit}": values[:, c] for n, values in rows.items()}
+        return log_text(columns, self._columns)
 
 
 class Session:
@@ -161,7 +207,7 @@ class Session:
     # --- recording ------------------------------------------------------------------------------------------------
     def record(self) -> None:
         """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
-        a reset, or after `recording.MAX_SECONDS` seconds; its text then stands in `finished_log`."""
+        a reset, or after `MAX_SECONDS` seconds; its text then stands in `finished_log`."""
         self.reset()
         self._recording = Recording(int(self._stream().integers(2**32)), self._rig.scales)
 

@@ -88,11 +88,6 @@ class Uploads:
         """The files of a role, in their order."""
         return [upload.path for upload in self.files if upload.role == role]
 
-    @property
-    def listed(self) -> list[tuple[str, str]]:
-        """Path and role of each file."""
-        return [(str(each.path), each.role) for each in self.files]
-
     def rigs(self, chosen: str) -> dict[str, str]:
         """What can be driven and diagnosed, with its name: presets, models that are here, and what is chosen."""
         models = {str(each.path): each.name for each in self.files if each.role == "model"}
