@@ -1,4 +1,5 @@
-"""Runs one command of `hydro-env` and turns whatever happens into an exit status and one line.
+"""The commands in the order in which `--help` lists them; runs one of them and turns whatever happens into an exit status and
+one line.
 
 Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted, 143 by SIGTERM.
 """
@@ -11,11 +12,19 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NoReturn, TextIO
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from hydro_env.cli.app import app
+from hydro_env import __version__
+from hydro_env.cli.components import describe, valve_test
+from hydro_env.cli.controllers import benchmark, dataset, train, tune
+from hydro_env.cli.diagnosis import diagnose, hide
+from hydro_env.cli.experiments import close_loop, demo, naming_benchmark, pdf, reproduce, speed
+from hydro_env.cli.export import export
+from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.listing import list_names
+from hydro_env.cli.live import lab, live
 from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_by_signals, to_install
 
 #: Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
@@ -32,6 +41,42 @@ EXTRAS = {
     "lab": "nicegui fastapi uvicorn",
     "live": "asyncua",
 }
+
+app = typer.Typer(
+    cls=HelpfulGroup,
+    add_completion=False,
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Synchronise two hydraulic motors, each driven by its own proportional valve.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+for _command in (
+    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, live, close_loop,
+    pdf,
+):  # fmt: skip
+    app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
+app.add_typer(export, name="export")
+app.add_typer(naming_benchmark, name="naming-benchmark")
+app.command("list", cls=HelpfulCommand)(list_names)
 
 
 class _PatientOutput:
