@@ -12,10 +12,9 @@ that were made for any pair of valves and know no model of the rig are driven as
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -55,33 +54,6 @@ SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
 
 # --- rigs ---------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Rig:
-    """A hidden truth (the content of truth.json) and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models
-    by `SOURCES`, and the content of diagnosis.json."""
-
-    case: str
-    seed: int
-    models: Mapping[str, PlantModel]
-    truth: Mapping[str, Any]
-    diagnosis: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        return f"{self.case}_{self.seed}"
-
-    def row(self) -> dict[str, Any]:
-        """What the table of rigs says."""
-        verdict, named = self.diagnosis["verdict"], by_channel(self.diagnosis["effects"])
-        right = verdict == self.truth["verdict"] and named == by_channel(self.truth["effects"])
-        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
-        return {
-            "rig": self.name, "case": self.case, "seed": self.seed, "forms": self.truth["forms"],
-            "hidden": self.truth["effects"], "verdict": verdict, "named": sorted(f"{n}:{c}" for n, c in named),
-            "right": right, "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
-        }  # fmt: skip
-
-
-@dataclass(frozen=True)
 class RigTask:
     """A rig to be made and diagnosed."""
 
@@ -91,9 +63,9 @@ class RigTask:
     def __str__(self) -> str:
         return f"{self.case}_{self.seed}"
 
-    @property
-    def key(self) -> str:
-        return f"rig {CASES[self.case]} {self.number} {DURATION} {BASE_ERROR}"
+    def row(self) -> dict[str, Any]:
+        """What tables say of it."""
+        return {"rig": str(self), "case": self.case, "seed": self.seed}
 
     @property
     def number(self) -> int:
@@ -110,13 +82,35 @@ class RigTask:
             logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
             found = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml")
         models = {"wrong": practice.given, "repaired": found.model, "true": practice.true}
-        return Rig(self.case, self.seed, models, practice.truth, found.as_dict())
+        return Rig(self, models, practice.truth, found.as_dict())
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A hidden truth (the content of truth.json) and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models
+    by `SOURCES`, and the content of diagnosis.json."""
+
+    task: RigTask
+    models: Mapping[str, PlantModel]
+    truth: Mapping[str, Any]
+    diagnosis: Mapping[str, Any] = field(repr=False)
+
+    def row(self) -> dict[str, Any]:
+        """What the table of rigs says."""
+        verdict, named = self.diagnosis["verdict"], by_channel(self.diagnosis["effects"])
+        right = verdict == self.truth["verdict"] and named == by_channel(self.truth["effects"])
+        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
+        return {
+            **self.task.row(), "forms": self.truth["forms"],
+            "hidden": self.truth["effects"], "verdict": verdict, "named": sorted(f"{n}:{c}" for n, c in named),
+            "right": right, "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
+        }  # fmt: skip
 
 
 def write_rigs(folder: Path, rigs: Sequence[Rig]) -> None:
     """Writes each rig's models and diagnosis: `folder/RIG/{wrong,repaired,true}.yaml`, truth.json, diagnosis.json."""
     for rig in rigs:
-        own = folder / rig.name
+        own = folder / str(rig.task)
         own.mkdir(parents=True, exist_ok=True)
         for source, model in rig.models.items():
             model.to_yaml(own / f"{source}.yaml")
@@ -136,21 +130,12 @@ class Score:
     gains: Mapping[str, Any] | None = None
 
     def __str__(self) -> str:
-        return f"{self.controller} {self.source} {self.rig.name} {self.scenario}"
+        return f"{self.controller} {self.source} {self.rig.task} {self.scenario}"
 
     def row(self) -> dict[str, Any]:
         """What the scores say of it."""
-        return {
-            "controller": self.controller, "tuned_on": self.source, "rig": self.rig.name, "case": self.rig.case,
-            "seed": self.rig.seed, "scenario": self.scenario,
-        }  # fmt: skip
-
-    @property
-    def key(self) -> str:
-        model = "" if self.gains is None else _text(self.rig.models[self.source])
-        truth = self.rig.truth
-        rig = f"{_text(self.rig.models['true'])} {truth['forms']} {json.dumps(constants_of(truth))} {self.rig.seed}"
-        return f"score {self.controller} {json.dumps(self.gains)} {model} {rig} {self.scenario}"
+        about = {"controller": self.controller, "tuned_on": self.source}
+        return {**about, **self.rig.task.row(), "scenario": self.scenario}
 
     def run(self) -> dict[str, Any]:
         """What `scored` keeps of the drive."""
@@ -160,7 +145,7 @@ class Score:
         else:
             controller = tuning.LAWS[name].build(name, rig.models[self.source], self.gains)
         forms = {"forms": rig.truth["forms"], "constants": constants_of(rig.truth)}
-        return scored(drive(controller, rig.models["true"], self.scenario, rig.seed, **forms))
+        return scored(drive(controller, rig.models["true"], self.scenario, rig.task.seed, **forms))
 
 
 def scored(trace: Trace) -> dict[str, Any]:
@@ -169,10 +154,6 @@ def scored(trace: Trace) -> dict[str, Any]:
         "metrics": {name: float(value[0]) for name, value in compute(trace, METRICS).items()},
         "difference_rpm": np.round(trace.difference_rpm[:, 0], 2).tolist(),
     }
-
-
-def _text(model: PlantModel) -> str:
-    return json.dumps(model.to_dict(), sort_keys=True)
 
 
 def _work(task: Any) -> Any:
@@ -219,7 +200,9 @@ def run(
     Returns the content of close_loop.json. InputError if nothing could be done.
     """
     out, settings = Path(out), settings or Settings()
-    store = None if cells is None else Store(cells, lambda task: str(task.key))
+    store = (
+        None if cells is None else Store(cells, repr)
+    )  # the text of a task holds all that its result depends on
     work = partial(run_tasks, function=_work, engine=engine, jobs=jobs, progress=progress, store=store)
     failed: list[dict[str, str]] = []
 
@@ -233,13 +216,13 @@ def run(
     rigs = [rig for _, rig in done([RigTask(*each) for each in product(settings.cases, numbers)], "rig")]
     if not rigs:
         raise InputError(f"no rig could be made: {failed[0]['reason']}")
-    wanted = {rig.name: _tunings(rig, settings.generations) for rig in rigs}
+    wanted = {rig.task: _tunings(rig, settings.generations) for rig in rigs}
     tuned = dict(done(list(dict.fromkeys(chain(*wanted.values()))), "tuning"))
     drives: list[
         Score
     ] = []  # of every law that could be tuned and every shipped controller, on every rig and scenario
     for rig, scenario in product(rigs, SCENARIOS):
-        own = [task for task in wanted[rig.name] if task in tuned]
+        own = [task for task in wanted[rig.task] if task in tuned]
         drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
         drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
     scores = [{**task.row(), **result} for task, result in done(drives, "drive")]
@@ -255,10 +238,9 @@ def run(
 
 def _tunings(rig: Rig, generations: int) -> list[tuning.Tuning]:
     """Every law on every model of a rig; the wrong model is one for all rigs of a seed."""
+    own = {source: "" if source == "wrong" else str(rig.task) for source in SOURCES}
     return [
-        tuning.Tuning(
-            law, source, "" if source == "wrong" else rig.name, rig.models[source], rig.seed, generations
-        )
+        tuning.Tuning(law, source, own[source], rig.models[source], rig.task.seed, generations)
         for law, source in product(tuning.LAWS, SOURCES)
     ]
 

@@ -121,9 +121,10 @@ def test_tuning_repeats_and_stays_in_range(
     task = Tuning(law, "true", "rig", truth, seed=3, generations=2)
     found = task.run()
     assert found == task.run()
-    for gain, channel in LAWS[law].genes():
-        value = found["gains"][gain.name]
-        assert gain.low * 0.999 <= (value if channel is None else value[channel]) <= gain.high * 1.001
+    for gain in LAWS[law].genes():
+        values = np.ravel(found["gains"][gain.name])
+        assert len(values) == (2 if gain.name in LAWS[law].each else 1)
+        assert (gain.low * 0.999 <= values).all() and (values <= gain.high * 1.001).all()
     assert set(LAWS[law].fixed).isdisjoint(found["gains"])
     LAWS[law].build(law, truth, found["gains"])  # they are what the law takes
 
@@ -219,7 +220,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
         diagnosis = {"verdict": "effects", "gap": {"sealed": gap},
                      "effects": [{"name": "dead_zone", "channel": "1", "indistinguishable_from": []}]}  # fmt: skip
         hidden = {"verdict": "effects", "effects": effects, "forms": "same", "form_constants": {}}
-        return close_loop.Rig(task.case, task.seed, models, hidden, diagnosis)
+        return close_loop.Rig(task, models, hidden, diagnosis)
 
     def noted(task: Any) -> Any:
         done.append(task)

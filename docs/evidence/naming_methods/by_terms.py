@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from hydro_env.diagnosis.estimation.noise import effective_samples
-from hydro_env.experiments.naming_benchmark.calibrated import Start
+from hydro_env.experiments.naming_benchmark.methods import Start
 from hydro_env.plant import CATALOGUE
 
 from .equations import Equation, equations

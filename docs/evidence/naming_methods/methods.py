@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_env.experiments.naming_benchmark.answers import answer
-from hydro_env.experiments.naming_benchmark.calibrated import Start, begin
-from hydro_env.experiments.naming_benchmark.methods import Method, asking
+from hydro_env.experiments.naming_benchmark.methods import Method, Start, asking, begin
 from hydro_env.files import write_text
 from hydro_env.practice.recorder import log_text
 

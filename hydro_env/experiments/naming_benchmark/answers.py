@@ -21,6 +21,8 @@ from ...reading import read_json
 from ...validation import FileTable, Number, checked, known
 
 SCHEMA = "hydro_env/naming_answer/1"
+#: Folder beside the answers of a method with the whole diagnosis of each rig.
+WHOLE = "whole"
 
 
 class _Named(BaseModel):

@@ -109,12 +109,11 @@ def make_set(out: Path, rigs: int, seed: int, ask: bool = False) -> None:
     names = [f"rig_{n + 1:03d}" for n in range(rigs)]
     about = {"schema": SET_SCHEMA, "rigs": names, "ask": ask}
     drawn = {"seed": seed, **about}
-    if (out / "truth" / "set.json").exists() and read_json(
-        out / "truth" / "set.json", "a set's seed"
-    ) != drawn:
+    path = out / "truth" / "set.json"
+    if path.exists() and read_json(path, "a set's seed") != drawn:
         raise InputError(f"{out}: holds another set than --rigs {rigs} --seed {seed}; name another --out")
-    (out / "truth").mkdir(parents=True, exist_ok=True)
-    write_json(out / "truth" / "set.json", drawn)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, drawn)
     shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
     kinds = _kinds(rigs, np.random.default_rng(shared))
     bar = tqdm(zip(names, kinds, own, strict=True), total=rigs, unit="rig", disable=None)
