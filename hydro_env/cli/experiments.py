@@ -70,10 +70,9 @@ def close_loop(
     """
     with writing(out) as folder:
         from hydro_env.experiments import close_loop as work
-        from hydro_env.experiments.close_loop_summary import summary
 
         settings = work.Settings(tuple(case or work.CASES), seeds, seed)
-        print(summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine)))
+        print(work.summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine)))
 
 
 def pdf(

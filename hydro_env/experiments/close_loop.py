@@ -8,6 +8,9 @@
 
 A rig stands for a case (what is hidden) and a seed (how large, which manoeuvres, which base parameters). Shipped controllers
 that were made for any pair of valves and know no model of the rig are driven as well, for comparison (`none`).
+
+The summary has means over hidden rigs. Their intervals are 95 % percentile bootstrap ones: cases are drawn again, and in each of
+them its seeds.
 """
 
 from __future__ import annotations
@@ -23,10 +26,10 @@ from typing import Any
 import numpy as np
 
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.base import Floats
 from hydro_env.diagnosis import diagnose
 from hydro_env.errors import InputError, check_known
 from hydro_env.experiments import close_loop_tuning as tuning
-from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, table
 from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
@@ -50,6 +53,10 @@ SCENARIOS = ("setpoint_steps", "load_step", "sine")
 BASE_ERROR, DURATION = 0.1, 12.0
 #: Controllers as shipped, which know no model of the rig.
 SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
+#: Models on which a controller is tuned.
+SOURCES = ("wrong", "repaired", "true")
+METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm")
+RESAMPLES = 4000
 
 
 # --- rigs ---------------------------------------------------------------------------------------------------------------
@@ -159,6 +166,96 @@ def scored(trace: Trace) -> dict[str, Any]:
 def _work(task: Any) -> Any:
     """Any task; one function, so that one store serves them all."""
     return task.run()
+
+
+# --- the summary ---------------------------------------------------------------------------------------------------------
+def collect(scores: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Means over rigs by controller, scenario and metric, and what repairing the model changed.
+
+    `scores` are rows {controller, tuned_on, rig, case, seed, scenario, metrics}. Of every controller that was tuned, the
+    rows hold `wrong`, `repaired`, `true` as {mean, ci95}; `change`: mean on the repaired model over that on the wrong one,
+    less 1; `better`: on how many rigs it was lower. Shipped controllers have `none` alone.
+    """
+    groups: dict[tuple[str, bool, str], list[Mapping[str, Any]]] = {}
+    for s in scores:
+        groups.setdefault((s["controller"], s["tuned_on"] == "none", s["scenario"]), []).append(s)
+    return [
+        {"controller": controller, "scenario": scenario, "metric": metric, **_compared(own, metric)}
+        for (controller, _, scenario), own in groups.items()
+        for metric in METRICS
+    ]
+
+
+def _compared(scores: Sequence[Mapping[str, Any]], metric: str) -> dict[str, Any]:
+    """A controller on a scenario: means of a metric by model over the rigs that all models have, and the change."""
+    values: dict[str, dict[tuple[str, int], float]] = {}
+    for s in scores:
+        values.setdefault(s["tuned_on"], {})[s["case"], s["seed"]] = s["metrics"][metric]
+    rigs = sorted(set.intersection(*(set(each) for each in values.values())))
+    drawn = _drawn(rigs)
+    of = {source: np.array([each[rig] for rig in rigs]) for source, each in values.items()}
+    means = {source: each[drawn].mean(axis=1) for source, each in of.items()}
+    row: dict[str, Any] = {"n": len(rigs)}
+    for source, each in of.items():
+        row[source] = {"mean": float(each.mean()), "ci95": _interval(means[source])}
+    if {"wrong", "repaired"} <= of.keys():
+        mean = float(of["repaired"].mean() / of["wrong"].mean() - 1.0)
+        row["change"] = {"mean": mean, "ci95": _interval(means["repaired"] / means["wrong"] - 1.0)}
+        row["better"] = int(np.sum(of["repaired"] < of["wrong"]))
+    return row
+
+
+def _drawn(rigs: Sequence[tuple[str, int]]) -> Any:
+    """Places of the rigs in every resample (RESAMPLES, n): cases drawn again, and in each of them as many of its seeds."""
+    stream = np.random.default_rng(0)
+    cases = [np.flatnonzero([case == each for case, _ in rigs]) for each in dict.fromkeys(c for c, _ in rigs)]
+    size = max(len(each) for each in cases)  # cases of equal weight, also if a rig of one of them failed
+    picked = stream.integers(len(cases), size=(RESAMPLES, len(cases)))
+    return np.array(
+        [np.concatenate([cases[c][stream.integers(len(cases[c]), size=size)] for c in row]) for row in picked]
+    )
+
+
+def _interval(values: Floats) -> list[float]:
+    return [float(v) for v in np.percentile(values, [2.5, 97.5])]
+
+
+def table(data: Mapping[str, Any]) -> str:
+    """The scores as a table in Markdown, one line a controller and scenario."""
+    lines = [
+        "| controller | scenario | peak error, rpm: model as given | repaired | true | change by the repair | better on"
+        " | RMS: as given, repaired, true | tracking error: as given, repaired, true |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    by = {(r["controller"], "none" in r, r["scenario"], r["metric"]): r for r in data["summary"]}
+    for name, shipped in dict.fromkeys((r["controller"], "none" in r) for r in data["summary"]):
+        for scenario in dict.fromkeys(r["scenario"] for r in data["summary"]):
+            largest, rms, tracking = (by[name, shipped, scenario, metric] for metric in METRICS)
+            sources = ("none",) if shipped else SOURCES
+            titled = f"{name} as shipped" if shipped else name
+            cells = [titled, scenario, *(_shown(largest[s]) for s in sources)]
+            cells += [""] * 4 if shipped else [_change(largest), f"{largest['better']} of {largest['n']}"]
+            cells += [", ".join(f"{row[s]['mean']:.1f}" for s in sources) for row in (rms, tracking)]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _shown(entry: Mapping[str, Any]) -> str:
+    low, high = entry["ci95"]
+    return f"{entry['mean']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    low, high = (100.0 * v for v in row["change"]["ci95"])
+    return f"{100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]"
+
+
+def summary(data: Mapping[str, Any]) -> str:
+    """What the command prints."""
+    right = sum(row["right"] for row in data["rigs"])
+    head = f"{len(data['rigs'])} hidden rigs, {right} named correctly. Errors on the hidden rigs:"
+    failed = [f"failed: {each['task']}: {each['reason']}" for each in data["failed"]]
+    return "\n".join([head, table(data), *failed])
 
 
 # --- all of it ------------------------------------------------------------------------------------------------------------

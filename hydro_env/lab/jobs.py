@@ -65,8 +65,9 @@ class Jobs:
             raise InputError(f"--out {self._out}: cannot write there ({problem.strerror})") from None
         self._cancelled, self.latest = False, Job()
         messages, writer = _CONTEXT.Pipe(duplex=False)
+        task = {"diagnose": _diagnose, "inspect": _inspect}[what]
         given = {"fit": fit, "held_out": held_out, "model": model, "mapping": mapping, "out": work}
-        self._process = _CONTEXT.Process(target=_do, args=(what, given, writer), daemon=True)
+        self._process = _CONTEXT.Process(target=_do, args=(task, given, writer), daemon=True)
         self._process.start()
         writer.close()  # so that the pipe ends with the process
         self._thread = threading.Thread(
@@ -120,7 +121,7 @@ class Jobs:
 
 
 # --- in the process -----------------------------------------------------------------------------------------------
-def _do(what: str, given: dict[str, Any], messages: Connection) -> None:
+def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Connection) -> None:
     """Does a task; each message has the words of `Job` that change, of warnings and simulations those that are new."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which then ends this process
     speaking = threading.Lock()
@@ -139,7 +140,7 @@ def _do(what: str, given: dict[str, Any], messages: Connection) -> None:
     warnings.simplefilter("once", InputWarning)
     warnings.showwarning = show
     try:
-        say(result={"diagnose": _diagnose, "inspect": _inspect}[what](say, **given))
+        say(result=task(say, **given))
     except InputError as problem:
         say(problem=str(problem))
     except Exception as problem:
