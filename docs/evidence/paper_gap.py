@@ -23,8 +23,14 @@ from typing import Any
 import numpy as np
 
 from agents.command import run_command
-from hydro_env.experiments.paper_rig import SETPOINT_STEPS, Traces, equal_again_after, run_paper
-from hydro_env.experiments.reproduce import EQUAL_WITHIN_RPM, PUBLISHED_STEPS_RPM
+from hydro_env.experiments.reproduce import (
+    EQUAL_WITHIN_RPM,
+    PUBLISHED_STEPS_RPM,
+    SETPOINT_STEPS,
+    Traces,
+    equal_again_after,
+    run_paper,
+)  # fmt: skip
 from hydro_env.files import write_json
 from hydro_env.plant import CATALOGUE, Effect, Parameter, load_model, simulate
 

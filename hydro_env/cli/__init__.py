@@ -5,7 +5,6 @@ half-written is left behind. What a command needs is imported when it runs, afte
 a wrong folder are answered at once.
 """
 
-from hydro_env.cli.app import app
-from hydro_env.cli.main import main, run
+from hydro_env.cli.main import app, main, run
 
 __all__ = ["app", "main", "run"]

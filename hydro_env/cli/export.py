@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-from typer import Argument, Option
+from typer import Argument, Context, Option
 
-from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
-from hydro_env.cli.options import Out, number, writing
+from hydro_env.cli.help import HelpfulCommand, group_of_commands
+from hydro_env.cli.options import ControlPeriod, Out, number, writing
 from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
-export = typer.Typer(
-    cls=HelpfulGroup,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, a PLC project, ONNX.",
+export = group_of_commands(
+    "Take the rig or a controller to another tool: FMU, C99, Structured Text, a PLC project, ONNX."
 )
 
 # fmt: off
@@ -28,7 +24,6 @@ Bench = Annotated[
     str | None, Option("--plant", help="Preset or YAML file of the rig that it drives, whose valves go on the bench where "
     "needed. Default: that of a gains file, else paper_dead_zone.")
 ]
-Period = Annotated[float, number("Control period that is built in.", Limits(1e-4, 1.0, unit="s"), "--control-period")]
 Trust = Annotated[bool, Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")]
 Single = Annotated[bool, Option("--single", help="Networks in single precision: smaller and faster.")]
 # fmt: on
@@ -60,7 +55,7 @@ def fmu(
 
 
 def _controller(
-    context: typer.Context, controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = None,
+    context: Context, controller: Controller, out: Out, control_period: ControlPeriod = 0.01, plant: Bench = None,
     single: Single = False, trust: Trust = False,
 ) -> None:  # fmt: skip
     with writing(out) as folder:
@@ -87,7 +82,7 @@ def plc(
     signal: Annotated[str, Option(help="Signal of the sensors: 10V or 4-20mA.")] = "10V",
     twincat: Annotated[bool, Option(
         "--twincat", help="Declare what is wired with AT %I* and AT %Q*, as TwinCAT links it.")] = False,
-    control_period: Period = 0.01, plant: Bench = None, single: Single = False, trust: Trust = False,
+    control_period: ControlPeriod = 0.01, plant: Bench = None, single: Single = False, trust: Trust = False,
 ) -> None:  # fmt: skip
     """Export a controller as a project for a PLC.
 

@@ -6,6 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from typer import Typer
 from typer.core import TyperCommand, TyperGroup
 
 
@@ -64,3 +65,8 @@ class HelpfulGroup(TyperGroup):
         _write_examples(formatter, own)
         path = f"hydro-env {own}".strip()
         formatter.write(f"\nOptions and examples of a command: {path} COMMAND --help\n")
+
+
+def group_of_commands(help: str) -> Typer:
+    """A group of commands with such help; the commands in it have `HelpfulCommand` as their class."""
+    return Typer(cls=HelpfulGroup, rich_markup_mode=None, no_args_is_help=True, help=help)

@@ -95,8 +95,8 @@ def _suites() -> Entries:
     return [{"name": each.name, "summary": summary(each)} for each in shipped_suites().values()]
 
 
+#: What there are names for, and the entries of each: "name", "summary" and more for JSON.
 KINDS: dict[str, Callable[[], Entries]] = {
     "controllers": _controllers, "effects": _effects, "presets": _presets, "scenarios": _scenarios, "splits": _splits,
     "metrics": _metrics, "suites": _suites,
 }  # fmt: skip
-"""What there are names for, and the entries of each: "name", "summary" and more for JSON."""

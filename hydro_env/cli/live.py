@@ -15,32 +15,25 @@ from hydro_env.limits import Limits
 
 #: Exit status of a run that ended in a fault.
 FAULT = 3
-# fmt: off
-LinkFile = Annotated[Path, Argument(metavar="LINK.yaml", help="How the rig is reached, and its limits.")]
-Controller = Annotated[str | None, Argument(
-    metavar="[CONTROLLER]", help="A name, gains.json, policy.npz, agent.zip (with --trust) or file.py:Class."
-)]
-Scenario = Annotated[str | None, Option(
-    metavar="NAME|FILE.yaml", help="Set-points to follow: a scenario, or step tables. Default: the set-point of the rig."
-)]
-Experiment = Annotated[Path | None, Option(
-    metavar="CSV", help="Play these commands instead of a controller: next_experiment.csv of `diagnose`."
-)]
-CommandLimit = Annotated[float | None, number(
-    "Largest command, per cent of the rated one. Default: that of the link file, which is at most 20.",
-    Limits(1.0, 100.0, unit="%"),
-)]
-# fmt: on
 
 
 def live(
-    link: LinkFile,
+    link: Annotated[Path, Argument(metavar="LINK.yaml", help="How the rig is reached, and its limits.")],
     out: Annotated[Path, Option("--out", help="Folder for the logs; created if needed. Each run begins a new one.")],
-    controller: Controller = None,
-    scenario: Scenario = None,
-    experiment: Experiment = None,
+    controller: Annotated[str | None, Argument(
+        metavar="[CONTROLLER]", help="A name, gains.json, policy.npz, agent.zip (with --trust) or file.py:Class."
+    )] = None,
+    scenario: Annotated[str | None, Option(
+        metavar="NAME|FILE.yaml", help="Set-points to follow: a scenario, or step tables. Default: the set-point of the rig."
+    )] = None,
+    experiment: Annotated[Path | None, Option(
+        metavar="CSV", help="Play these commands instead of a controller: next_experiment.csv of `diagnose`."
+    )] = None,
     plant: Plant = "paper_dead_zone",
-    command_limit: CommandLimit = None,
+    command_limit: Annotated[float | None, number(
+        "Largest command, per cent of the rated one. Default: that of the link file, which is at most 20.",
+        Limits(1.0, 100.0, unit="%"),
+    )] = None,
     duration: Annotated[float | None, number("End of the run.", Limits(0.1, 1e6, unit="s"))] = None,
     trust: Annotated[bool, Option("--trust", help="Use controllers whose files can run code, as for `benchmark`.")] = False,
     effect_files: EffectFiles = None,

@@ -1,4 +1,5 @@
-"""Runs one command of `hydro-env` and turns whatever happens into an exit status and one line.
+"""The commands in the order in which `--help` lists them; runs one of them and turns whatever happens into an exit status and
+one line.
 
 Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted, 143 by SIGTERM.
 """
@@ -9,17 +10,27 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Sequence
-from typing import Any, NoReturn, TextIO
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from hydro_env.cli.app import app
+from hydro_env import __version__
+from hydro_env.cli.components import describe, valve_test
+from hydro_env.cli.controllers import benchmark, dataset, train, tune
+from hydro_env.cli.diagnosis import diagnose, hide
+from hydro_env.cli.experiments import close_loop, demo, naming_benchmark, pdf, reproduce, speed
+from hydro_env.cli.export import export
+from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.listing import list_names
+from hydro_env.cli.live import lab, live
 from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_by_signals, to_install
 
+#: Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
+#: to search them again and again takes longer than what there is to find is worth.
 GARBAGE = 1_000_000
-"""Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
-to search them again and again takes longer than what there is to find is worth."""
+#: Which optional libraries an extra of the package holds.
 EXTRAS = {
     "report": "plotly jinja2 matplotlib",
     "measured": "pandas asammdf nptdms",
@@ -30,7 +41,42 @@ EXTRAS = {
     "lab": "nicegui fastapi uvicorn",
     "live": "asyncua",
 }
-"""Which optional libraries an extra of the package holds."""
+
+app = typer.Typer(
+    cls=HelpfulGroup,
+    add_completion=False,
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Synchronise two hydraulic motors, each driven by its own proportional valve.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+for _command in (
+    demo, describe, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, live, close_loop,
+    pdf,
+):  # fmt: skip
+    app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
+app.add_typer(export, name="export")
+app.add_typer(naming_benchmark, name="naming-benchmark")
+app.command("list", cls=HelpfulCommand)(list_names)
 
 
 class _PatientOutput:
@@ -42,26 +88,23 @@ class _PatientOutput:
 
     def write(self, text: str) -> int:
         """Writes, or does nothing once the reader has gone."""
-        try:
-            return self._stream.write(text)
-        except OSError as problem:
-            self._to_nowhere(problem)
-            return len(text)
+        self._as_far_as_read(partial(self._stream.write, text))
+        return len(text)
 
     def flush(self) -> None:
         """The same for what is still in the buffer."""
-        try:
-            self._stream.flush()
-        except OSError as problem:
-            self._to_nowhere(problem)
+        self._as_far_as_read(self._stream.flush)
 
-    def _to_nowhere(self, problem: OSError) -> None:
-        # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, self._stream.fileno())
-        os.close(nowhere)
-        if self._stream.fileno() == 1 and not isinstance(problem, BrokenPipeError):
-            raise OSError(problem.errno, problem.strerror, "standard output") from None
+    def _as_far_as_read(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except OSError as problem:
+            # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+            if self._stream.fileno() == 1 and not isinstance(problem, BrokenPipeError):
+                raise OSError(problem.errno, problem.strerror, "standard output") from None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from hydro_env.errors import InputError, shown
+from hydro_env.errors import InputError
 from hydro_env.files import output_folder
 from hydro_env.limits import CORES, SEEDS, Limits
 
@@ -56,12 +56,6 @@ def writing(out: Path) -> Iterator[Path]:
     print(f"{time.perf_counter() - start:.1f} s. Written to {out}: {', '.join(written)}")
 
 
-MAX_NUMBERS = 100
-
-
 def numbers(option: str, text: str, within: Limits) -> tuple[float, ...]:
     """`5,20,80` as numbers within limits, none for an empty text."""
-    parts = [part for part in text.split(",", MAX_NUMBERS) if part.strip()]
-    if len(parts) > MAX_NUMBERS:
-        raise InputError(f"{option} is {shown(text)}: at most {MAX_NUMBERS} numbers with commas between them")
-    return tuple(within.read(part, option) for part in parts)
+    return tuple(within.read(part, option) for part in text.split(",") if part.strip())

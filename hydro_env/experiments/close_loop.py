@@ -8,26 +8,28 @@
 
 A rig stands for a case (what is hidden) and a seed (how large, which manoeuvres, which base parameters). Shipped controllers
 that were made for any pair of valves and know no model of the rig are driven as well, for comparison (`none`).
+
+The summary has means over hidden rigs. Their intervals are 95 % percentile bootstrap ones: cases are drawn again, and in each of
+them its seeds.
 """
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.base import Floats
 from hydro_env.diagnosis import diagnose
 from hydro_env.errors import InputError, check_known
 from hydro_env.experiments import close_loop_tuning as tuning
-from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, table
 from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
@@ -47,54 +49,30 @@ CASES: dict[str, tuple[str, ...]] = {
 }
 #: What scores are made on. Tuning has seen none of them.
 SCENARIOS = ("setpoint_steps", "load_step", "sine")
-#: Largest error of a base parameter of the model that the engineer has.
-BASE_ERROR = 0.1
+#: Largest error of a base parameter of the model that the engineer has, and the length of each log, s.
+BASE_ERROR, DURATION = 0.1, 12.0
 #: Controllers as shipped, which know no model of the rig.
 SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
+#: Models on which a controller is tuned.
+SOURCES = ("wrong", "repaired", "true")
+METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm")
+RESAMPLES = 4000
 
 
 # --- rigs ---------------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Rig:
-    """A hidden truth (the content of truth.json) and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models
-    by `SOURCES`, and the content of diagnosis.json."""
-
-    case: str
-    seed: int
-    models: Mapping[str, PlantModel]
-    truth: Mapping[str, Any]
-    diagnosis: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        return f"{self.case}_{self.seed}"
-
-    def row(self) -> dict[str, Any]:
-        """What the table of rigs says."""
-        verdict, named = self.diagnosis["verdict"], by_channel(self.diagnosis["effects"])
-        right = verdict == self.truth["verdict"] and named == by_channel(self.truth["effects"])
-        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
-        return {
-            "rig": self.name, "case": self.case, "seed": self.seed, "forms": self.truth["forms"],
-            "hidden": self.truth["effects"], "verdict": verdict, "named": sorted(f"{n}:{c}" for n, c in named),
-            "right": right, "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
-        }  # fmt: skip
-
-
 @dataclass(frozen=True)
 class RigTask:
     """A rig to be made and diagnosed."""
 
     case: str
     seed: int
-    duration: float = 12.0
 
     def __str__(self) -> str:
         return f"{self.case}_{self.seed}"
 
-    @property
-    def key(self) -> str:
-        return f"rig {CASES[self.case]} {self.number} {self.duration} {BASE_ERROR}"
+    def row(self) -> dict[str, Any]:
+        """What tables say of it."""
+        return {"rig": str(self), "case": self.case, "seed": self.seed}
 
     @property
     def number(self) -> int:
@@ -104,20 +82,42 @@ class RigTask:
     def run(self) -> Rig:
         """Hides, logs and diagnoses."""
         practice = make_practice(
-            CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=self.duration
+            CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=DURATION
         )
         with tempfile.TemporaryDirectory() as folder:
             practice.write(Path(folder))
             logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
             found = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml")
         models = {"wrong": practice.given, "repaired": found.model, "true": practice.true}
-        return Rig(self.case, self.seed, models, practice.truth, found.as_dict())
+        return Rig(self, models, practice.truth, found.as_dict())
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A hidden truth (the content of truth.json) and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models
+    by `SOURCES`, and the content of diagnosis.json."""
+
+    task: RigTask
+    models: Mapping[str, PlantModel]
+    truth: Mapping[str, Any]
+    diagnosis: Mapping[str, Any] = field(repr=False)
+
+    def row(self) -> dict[str, Any]:
+        """What the table of rigs says."""
+        verdict, named = self.diagnosis["verdict"], by_channel(self.diagnosis["effects"])
+        right = verdict == self.truth["verdict"] and named == by_channel(self.truth["effects"])
+        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
+        return {
+            **self.task.row(), "forms": self.truth["forms"],
+            "hidden": self.truth["effects"], "verdict": verdict, "named": sorted(f"{n}:{c}" for n, c in named),
+            "right": right, "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
+        }  # fmt: skip
 
 
 def write_rigs(folder: Path, rigs: Sequence[Rig]) -> None:
     """Writes each rig's models and diagnosis: `folder/RIG/{wrong,repaired,true}.yaml`, truth.json, diagnosis.json."""
     for rig in rigs:
-        own = folder / rig.name
+        own = folder / str(rig.task)
         own.mkdir(parents=True, exist_ok=True)
         for source, model in rig.models.items():
             model.to_yaml(own / f"{source}.yaml")
@@ -137,21 +137,12 @@ class Score:
     gains: Mapping[str, Any] | None = None
 
     def __str__(self) -> str:
-        return f"{self.controller} {self.source} {self.rig.name} {self.scenario}"
+        return f"{self.controller} {self.source} {self.rig.task} {self.scenario}"
 
     def row(self) -> dict[str, Any]:
         """What the scores say of it."""
-        return {
-            "controller": self.controller, "tuned_on": self.source, "rig": self.rig.name, "case": self.rig.case,
-            "seed": self.rig.seed, "scenario": self.scenario,
-        }  # fmt: skip
-
-    @property
-    def key(self) -> str:
-        model = "" if self.gains is None else _text(self.rig.models[self.source])
-        truth = self.rig.truth
-        rig = f"{_text(self.rig.models['true'])} {truth['forms']} {json.dumps(constants_of(truth))} {self.rig.seed}"
-        return f"score {self.controller} {json.dumps(self.gains)} {model} {rig} {self.scenario}"
+        about = {"controller": self.controller, "tuned_on": self.source}
+        return {**about, **self.rig.task.row(), "scenario": self.scenario}
 
     def run(self) -> dict[str, Any]:
         """What `scored` keeps of the drive."""
@@ -161,7 +152,7 @@ class Score:
         else:
             controller = tuning.LAWS[name].build(name, rig.models[self.source], self.gains)
         forms = {"forms": rig.truth["forms"], "constants": constants_of(rig.truth)}
-        return scored(drive(controller, rig.models["true"], self.scenario, rig.seed, **forms))
+        return scored(drive(controller, rig.models["true"], self.scenario, rig.task.seed, **forms))
 
 
 def scored(trace: Trace) -> dict[str, Any]:
@@ -172,13 +163,99 @@ def scored(trace: Trace) -> dict[str, Any]:
     }
 
 
-def _text(model: PlantModel) -> str:
-    return json.dumps(model.to_dict(), sort_keys=True)
-
-
 def _work(task: Any) -> Any:
     """Any task; one function, so that one store serves them all."""
     return task.run()
+
+
+# --- the summary ---------------------------------------------------------------------------------------------------------
+def collect(scores: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Means over rigs by controller, scenario and metric, and what repairing the model changed.
+
+    `scores` are rows {controller, tuned_on, rig, case, seed, scenario, metrics}. Of every controller that was tuned, the
+    rows hold `wrong`, `repaired`, `true` as {mean, ci95}; `change`: mean on the repaired model over that on the wrong one,
+    less 1; `better`: on how many rigs it was lower. Shipped controllers have `none` alone.
+    """
+    groups: dict[tuple[str, bool, str], list[Mapping[str, Any]]] = {}
+    for s in scores:
+        groups.setdefault((s["controller"], s["tuned_on"] == "none", s["scenario"]), []).append(s)
+    return [
+        {"controller": controller, "scenario": scenario, "metric": metric, **_compared(own, metric)}
+        for (controller, _, scenario), own in groups.items()
+        for metric in METRICS
+    ]
+
+
+def _compared(scores: Sequence[Mapping[str, Any]], metric: str) -> dict[str, Any]:
+    """A controller on a scenario: means of a metric by model over the rigs that all models have, and the change."""
+    values: dict[str, dict[tuple[str, int], float]] = {}
+    for s in scores:
+        values.setdefault(s["tuned_on"], {})[s["case"], s["seed"]] = s["metrics"][metric]
+    rigs = sorted(set.intersection(*(set(each) for each in values.values())))
+    drawn = _drawn(rigs)
+    of = {source: np.array([each[rig] for rig in rigs]) for source, each in values.items()}
+    means = {source: each[drawn].mean(axis=1) for source, each in of.items()}
+    row: dict[str, Any] = {"n": len(rigs)}
+    for source, each in of.items():
+        row[source] = {"mean": float(each.mean()), "ci95": _interval(means[source])}
+    if {"wrong", "repaired"} <= of.keys():
+        mean = float(of["repaired"].mean() / of["wrong"].mean() - 1.0)
+        row["change"] = {"mean": mean, "ci95": _interval(means["repaired"] / means["wrong"] - 1.0)}
+        row["better"] = int(np.sum(of["repaired"] < of["wrong"]))
+    return row
+
+
+def _drawn(rigs: Sequence[tuple[str, int]]) -> Any:
+    """Places of the rigs in every resample (RESAMPLES, n): cases drawn again, and in each of them as many of its seeds."""
+    stream = np.random.default_rng(0)
+    cases = [np.flatnonzero([case == each for case, _ in rigs]) for each in dict.fromkeys(c for c, _ in rigs)]
+    size = max(len(each) for each in cases)  # cases of equal weight, also if a rig of one of them failed
+    picked = stream.integers(len(cases), size=(RESAMPLES, len(cases)))
+    return np.array(
+        [np.concatenate([cases[c][stream.integers(len(cases[c]), size=size)] for c in row]) for row in picked]
+    )
+
+
+def _interval(values: Floats) -> list[float]:
+    return [float(v) for v in np.percentile(values, [2.5, 97.5])]
+
+
+def table(data: Mapping[str, Any]) -> str:
+    """The scores as a table in Markdown, one line a controller and scenario."""
+    lines = [
+        "| controller | scenario | peak error, rpm: model as given | repaired | true | change by the repair | better on"
+        " | RMS: as given, repaired, true | tracking error: as given, repaired, true |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    by = {(r["controller"], "none" in r, r["scenario"], r["metric"]): r for r in data["summary"]}
+    for name, shipped in dict.fromkeys((r["controller"], "none" in r) for r in data["summary"]):
+        for scenario in dict.fromkeys(r["scenario"] for r in data["summary"]):
+            largest, rms, tracking = (by[name, shipped, scenario, metric] for metric in METRICS)
+            sources = ("none",) if shipped else SOURCES
+            titled = f"{name} as shipped" if shipped else name
+            cells = [titled, scenario, *(_shown(largest[s]) for s in sources)]
+            cells += [""] * 4 if shipped else [_change(largest), f"{largest['better']} of {largest['n']}"]
+            cells += [", ".join(f"{row[s]['mean']:.1f}" for s in sources) for row in (rms, tracking)]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _shown(entry: Mapping[str, Any]) -> str:
+    low, high = entry["ci95"]
+    return f"{entry['mean']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    low, high = (100.0 * v for v in row["change"]["ci95"])
+    return f"{100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]"
+
+
+def summary(data: Mapping[str, Any]) -> str:
+    """What the command prints."""
+    right = sum(row["right"] for row in data["rigs"])
+    head = f"{len(data['rigs'])} hidden rigs, {right} named correctly. Errors on the hidden rigs:"
+    failed = [f"failed: {each['task']}: {each['reason']}" for each in data["failed"]]
+    return "\n".join([head, table(data), *failed])
 
 
 # --- all of it ------------------------------------------------------------------------------------------------------------
@@ -189,7 +266,6 @@ class Settings:
     Args:
         cases: names of `CASES`.
         seeds: rigs of each case, with the seeds `seed`, `seed + 1`, ...
-        duration: of each log, s.
         generations: of every search for gains.
 
     InputError for an unknown case or a number that cannot be.
@@ -198,17 +274,12 @@ class Settings:
     cases: tuple[str, ...] = tuple(CASES)
     seeds: int = 2
     seed: int = 0
-    duration: float = 12.0
     generations: int = tuning.GENERATIONS
 
     def __post_init__(self) -> None:
         check_known("unknown case", self.cases, CASES)
         if self.seeds < 1 or self.seed < 0 or self.seed + self.seeds > 100:
             raise InputError(f"seeds {self.seed} to {self.seed + self.seeds - 1}: 0 to 99 are right")
-
-    def rigs(self) -> list[RigTask]:
-        """The rigs to be made."""
-        return [RigTask(case, self.seed + n, self.duration) for case in self.cases for n in range(self.seeds)]
 
 
 def run(
@@ -226,7 +297,9 @@ def run(
     Returns the content of close_loop.json. InputError if nothing could be done.
     """
     out, settings = Path(out), settings or Settings()
-    store = None if cells is None else Store(cells, lambda task: str(task.key))
+    store = (
+        None if cells is None else Store(cells, repr)
+    )  # the text of a task holds all that its result depends on
     work = partial(run_tasks, function=_work, engine=engine, jobs=jobs, progress=progress, store=store)
     failed: list[dict[str, str]] = []
 
@@ -236,12 +309,20 @@ def run(
         failed.extend({"task": str(t), "reason": r.reason} for t, r in results if isinstance(r, Failure))
         return [(t, r) for t, r in results if not isinstance(r, Failure)]
 
-    rigs = [rig for _, rig in done(settings.rigs(), "rig")]
+    numbers = range(settings.seed, settings.seed + settings.seeds)
+    rigs = [rig for _, rig in done([RigTask(*each) for each in product(settings.cases, numbers)], "rig")]
     if not rigs:
         raise InputError(f"no rig could be made: {failed[0]['reason']}")
-    wanted = [(rig, _tuning(rig, *each, settings)) for rig in rigs for each in product(tuning.LAWS, SOURCES)]
-    tuned = dict(done(list(dict.fromkeys(task for _, task in wanted)), "tuning"))
-    scores = [{**task.row(), **result} for task, result in done(_drives(wanted, tuned), "drive")]
+    wanted = {rig.task: _tunings(rig, settings.generations) for rig in rigs}
+    tuned = dict(done(list(dict.fromkeys(chain(*wanted.values()))), "tuning"))
+    drives: list[
+        Score
+    ] = []  # of every law that could be tuned and every shipped controller, on every rig and scenario
+    for rig, scenario in product(rigs, SCENARIOS):
+        own = [task for task in wanted[rig.task] if task in tuned]
+        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
+        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
+    scores = [{**task.row(), **result} for task, result in done(drives, "drive")]
     data = {
         "schema": SCHEMA, "settings": _settings_row(settings, rigs), "rigs": [rig.row() for rig in rigs],
         "gains": [{**task.row(), **found} for task, found in tuned.items()], "scores": scores,
@@ -252,26 +333,19 @@ def run(
     return data
 
 
-def _tuning(rig: Rig, law: str, source: str, settings: Settings) -> tuning.Tuning:
-    """A law on a model of a rig; the wrong model is one for all rigs of a seed."""
-    name = "" if source == "wrong" else rig.name
-    return tuning.Tuning(law, source, name, rig.models[source], rig.seed, settings.generations)
-
-
-def _drives(wanted: Sequence[tuple[Rig, tuning.Tuning]], tuned: Mapping[tuning.Tuning, Any]) -> list[Score]:
-    """Every law that could be tuned and every shipped controller, on every rig and scenario."""
-    drives = []
-    for rig, scenario in product({rig.name: rig for rig, _ in wanted}.values(), SCENARIOS):
-        own = [task for other, task in wanted if other is rig and task in tuned]
-        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
-        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
-    return drives
+def _tunings(rig: Rig, generations: int) -> list[tuning.Tuning]:
+    """Every law on every model of a rig; the wrong model is one for all rigs of a seed."""
+    own = {source: "" if source == "wrong" else str(rig.task) for source in SOURCES}
+    return [
+        tuning.Tuning(law, source, own[source], rig.models[source], rig.task.seed, generations)
+        for law, source in product(tuning.LAWS, SOURCES)
+    ]
 
 
 def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
     return {
         "cases": {case: list(CASES[case]) for case in settings.cases}, "seeds": [settings.seed, settings.seeds],
-        "base_error": BASE_ERROR, "log_s": settings.duration, "tuned_on": load_scenario(tuning.TUNED_ON).name,
+        "base_error": BASE_ERROR, "log_s": DURATION, "tuned_on": load_scenario(tuning.TUNED_ON).name,
         "episodes_of_a_tuning": tuning.TUNING_EPISODES * tuning.POPULATION * settings.generations,
         "weight": tuning.WEIGHT,
         "truth": "practice.reference, forms: " + ", ".join(sorted({rig.truth["forms"] for rig in rigs})),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import log
@@ -40,10 +39,10 @@ class Law:
         given = {"model": model} if self.model else {}
         return self.kind(name, **given, **self.fixed, **gains)
 
-    def genes(self) -> list[tuple[Gain, int | None]]:
+    def genes(self) -> list[Gain]:
         """What is searched: gains, twice those that each channel has of its own."""
         free = [gain for gain in self.kind.GAINS if gain.default is None and gain.name not in self.fixed]
-        return [(g, c) for g in free for c in ((0, 1) if g.name in self.each else (None,))]
+        return [gain for gain in free for _ in range(2 if gain.name in self.each else 1)]
 
 
 LAWS: dict[str, Law] = {
@@ -69,10 +68,6 @@ class Tuning:
     def __str__(self) -> str:
         return f"{self.law} {self.source} {self.rig}".strip()
 
-    @property
-    def key(self) -> str:
-        return f"tuning {self.law} {self.seed} {self.generations} {json.dumps(self.model.to_dict(), sort_keys=True)}"
-
     def row(self) -> dict[str, Any]:
         """What the gains say of it."""
         return {"controller": self.law, "tuned_on": self.source, "rig": self.rig or None, "seed": self.seed}
@@ -86,7 +81,7 @@ class Tuning:
         def gains_of(points: Floats) -> dict[str, Floats]:
             """Gains (candidates, 1 or 2) of points (genes, candidates)."""
             made: dict[str, list[Floats]] = {}
-            for (gain, _), row in zip(genes, points, strict=True):
+            for gain, row in zip(genes, points, strict=True):
                 made.setdefault(gain.name, []).append(np.exp(row) if gain.log else row)
             return {name: np.stack(rows, axis=-1) for name, rows in made.items()}
 
@@ -99,7 +94,7 @@ class Tuning:
             cost = costs["tracking_mae_rpm"] + WEIGHT * costs["max_speed_difference_rpm"]
             return cost.reshape(count, len(seeds)).mean(axis=1)
 
-        bounds = np.array([(log(g.low), log(g.high)) if g.log else (g.low, g.high) for g, _ in genes])
+        bounds = np.array([(log(g.low), log(g.high)) if g.log else (g.low, g.high) for g in genes])
         first = qmc.LatinHypercube(len(genes), rng=np.random.default_rng(self.seed)).random(POPULATION)
         found = differential_evolution(
             mean_costs, bounds, init=bounds[:, 0] + first * (bounds[:, 1] - bounds[:, 0]), maxiter=self.generations - 1,

@@ -7,7 +7,7 @@ Every number on the page is computed in the same run, but for the paper's publis
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -25,28 +25,28 @@ from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.diagnosis import Settings
 from hydro_env.experiments import reproduce
-from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text
-from hydro_env.pages import COLOURS, beside_results, figure, png, render, svg
+from hydro_env.pages import COLOURS, beside_results, figure, fill, png, render, svg
 from hydro_env.practice import command as hide
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
+from hydro_env.tasks import Trace
 
+#: What the third part hides.
 HIDDEN = ("dead_zone:1",)
-"""What the third part hides."""
 
+#: Columns of the leaderboard: scenario, metric, heading. The first two are drawn.
 BOARD = (
     ("setpoint_steps", "max_speed_difference_rpm", "set-point steps: peak synchronisation error, rpm"),
     ("setpoint_steps", "tracking_mae_rpm", "set-point steps: mean absolute tracking error, rpm"),
     ("load_step", "max_speed_difference_rpm", "load step: peak synchronisation error, rpm"),
     ("load_step", "tracking_mae_rpm", "load step: mean absolute tracking error, rpm"),
 )
-"""Columns of the leaderboard: scenario, metric, heading. The first two are drawn."""
 PAPER, TUNED, BOUND = "pid_paper", "pid_tuned", "oracle"
+#: The one split of the quick suite; the animation shows one of its cases.
 SPLIT = "test_interp"
-"""The one split of the quick suite; the animation shows one of its cases."""
 
+#: The agent for every rig, and the split of rigs that it was not trained on.
 ANY, UNSEEN = "gru_any", "test_any"
-"""The agent for every rig, and the split of rigs that it was not trained on."""
 
 GAPS = (
     ("before", "model as given"),
@@ -54,6 +54,9 @@ GAPS = (
     ("placebo", "placebo: calibrated, with the best wrong effect"),
     ("after", "calibrated, with the named effect"),
 )
+
+#: Step between the rows of a trace that are kept: 20 ms, in which a shaft at 600 rpm turns by 72 degrees.
+EVERY = 2
 
 
 @contextmanager
@@ -144,8 +147,17 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
         if (name, *BOARD[0][:2]) in cells
     }
     plain = [name for name in at if not privileged_information(scores, name)]
-    shown = _chosen(at, plain)
-    agent = next(name for name in shown if _learned(name))
+    law, agent = (
+        min((name for name in plain if _learned(name) is learned), key=lambda name: at[name][1])
+        for learned in (False, True)
+    )
+    shown = {
+        PAPER: "Table III of the paper",
+        TUNED: "the same law, gains found by search",
+        law: "the law with the lowest peak error, without privileged information",
+        agent: "the learned agent with the lowest peak error",
+        BOUND: "the bound",
+    }
     titles = {PAPER: f"The paper's PID ({PAPER})", agent: f"The best agent ({agent})"}
     seeds = range(scores["seed"], scores["seed"] + scores["splits"][SPLIT])
     rows = []
@@ -168,20 +180,6 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
 def _learned(name: str) -> bool:
     file = CONTROLLERS[name].file
     return file is not None and file.suffix == ".npz"
-
-
-def _chosen(at: dict[str, list[float]], plain: list[str]) -> dict[str, str]:
-    """The rows that the page shows, and why these; see `_front`."""
-    by_peak = sorted(plain, key=lambda name: at[name][1])
-    law = next(name for name in by_peak if not _learned(name))
-    agent = next(name for name in by_peak if _learned(name))
-    return {
-        PAPER: "Table III of the paper",
-        TUNED: "the same law, gains found by search",
-        law: "the law with the lowest peak error, without privileged information",
-        agent: "the learned agent with the lowest peak error",
-        BOUND: "the bound",
-    }
 
 
 def _front(at: dict[str, list[float]], plain: list[str], shown: dict[str, str]) -> Any:
@@ -230,6 +228,53 @@ def _on_a_rig(case: int) -> Any:
     speeds.set_ylabel("speed, rpm")
     commands.set(ylabel="command, %", xlabel="time, s")
     return drawing
+
+
+# --- both shafts under several controllers on the same pair of valves, as an animation ---------------------------------
+def record(titles: Mapping[str, str], seeds: Sequence[int], *, split: str, scenario: str) -> dict[str, Any]:
+    """Drives the same pair of valves with every controller.
+
+    Args:
+        titles: what the page calls each controller, by its name.
+        seeds: cases of the split. The one is shown whose largest speed difference under the first controller is the median.
+        split, scenario: what is driven.
+
+    Returns what the page's script draws: `seed` of the case, `period_s` between the samples, `setpoint_rpm` (T,), and for every
+    controller in `runs` `speed_rpm` (2, T) in whole rpm, `ahead_deg` (T,), by how much shaft 1 is ahead of shaft 2, and
+    `command_percent` (2, T) of the rated command, that which is in force from then on.
+    """
+    where: dict[str, Any] = {"mismatch": split, "scenario": scenario}
+    name, *_ = titles
+    trace = roll_out(make_controller(name), seeds, **where).trace
+    peaks = np.abs(trace.difference_rpm).max(axis=0)
+    seed = seeds[int(np.argsort(peaks, kind="stable")[(len(seeds) - 1) // 2])]
+    traces = {name: roll_out(make_controller(name), [seed], **where).trace for name in titles}
+    return {
+        "seed": seed,
+        "period_s": EVERY * trace.period,
+        "setpoint_rpm": _whole(traces[name].setpoint_rpm[::EVERY, 0]),
+        "runs": [{"name": name, "title": titles[name], **_drawn(each)} for name, each in traces.items()],
+    }
+
+
+def _drawn(trace: Trace) -> dict[str, Any]:
+    command = np.vstack([trace.command[:, 0], trace.command[-1:, 0]])  # after the last row the last one stays
+    return {
+        "speed_rpm": [_whole(trace.speed_rpm[::EVERY, 0, motor]) for motor in (0, 1)],
+        "ahead_deg": _whole(trace.angle_difference_deg[::EVERY, 0]),
+        "command_percent": [_whole(100.0 * command[::EVERY, motor]) for motor in (0, 1)],
+    }
+
+
+def _whole(values: Any) -> list[int]:
+    return np.rint(values).astype(int).tolist()
+
+
+def animation(recorded: Mapping[str, Any]) -> Any:
+    """The part of a page (`Markup`) that plays what `record` returns; one to a page, since its elements have ids."""
+    from markupsafe import Markup
+
+    return Markup(fill(files(__package__).joinpath("shaft_animation.html"), TRACES=recorded))
 
 
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------

@@ -14,13 +14,14 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from hydro_env.controllers.base import Floats
 from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, Plant, load_model
 from hydro_env.units import RPM
@@ -34,9 +35,6 @@ DTYPES = ("float64", "float32")
 PERIOD = 0.01
 #: Control periods of each kind of command that are compared with the reference.
 ERROR_ROWS = 100
-
-
-Floats = NDArray[np.float64]
 
 
 def _rate(work: Callable[[], object], units: int, seconds: float) -> float:
@@ -76,8 +74,7 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
     """Steps a second of one environment (`gymnasium.make` without wrappers), and of its plant alone."""
     from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
 
-    env = HydraulicSyncEnv()
-    env.reset(seed=0)
+    env, plant = HydraulicSyncEnv(), Plant("paper_dead_zone")
     actions = commands("smooth", 500, 1, np.random.default_rng(0))[:, 0].astype(np.float32)
 
     def steps() -> None:
@@ -85,7 +82,6 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
         for action in actions:
             env.step(action)
 
-    plant = Plant("paper_dead_zone")
     volts = plant.get("u_rated") * actions[:, None].astype(float)
 
     def plant_steps() -> None:
@@ -136,12 +132,10 @@ def measure_commands(
     """Steps a second of every plant under every kind of command, with the error (rpm) that `errors` names for it by dtype, plant
     and kind."""
     rows = []
-    cases = [(dtype, model, kind) for dtype in errors for model in PLANTS for kind in KINDS]
-    for dtype, model, kind in tqdm(cases, desc="commands", leave=False):
-        found = measure_batch(num_envs, seconds, dtype, kind, model)
-        rates = {name: found[name] for name in ("env_steps_per_s", "plant_steps_per_s", "steps_a_period")}
-        about = {"plant": model, "kind": kind, "dtype": dtype, "num_envs": num_envs}
-        rows.append({**about, **rates, "error_rpm": errors[dtype][model][kind]})
+    for dtype, model, kind in tqdm(list(product(errors, PLANTS, KINDS)), desc="commands", leave=False):
+        found = {"plant": model, "kind": kind, **measure_batch(num_envs, seconds, dtype, kind, model)}
+        names = "plant", "kind", "dtype", "num_envs", "env_steps_per_s", "plant_steps_per_s", "steps_a_period"
+        rows.append({**{name: found[name] for name in names}, "error_rpm": errors[dtype][model][kind]})
     return rows
 
 

@@ -76,12 +76,9 @@ class Slider:
 
     def position(self, value: float) -> int:
         """The position whose value is nearest to a value (SI)."""
-
-        def distance(position: int) -> float:
-            at = self.value(position)
-            return 0.0 if at == value else abs(at - value)  # infinity less itself is NaN
-
-        return min(range(self.lowest, self.highest + 1), key=distance)
+        values = {position: self.value(position) for position in range(self.lowest, self.highest + 1)}
+        # Infinity less itself is no number.
+        return min(values, key=lambda position: values[position] != value and abs(values[position] - value))
 
     def text(self, value: float) -> str:
         """The value as an engineer reads it; all values of one parameter have the same unit."""

@@ -18,12 +18,6 @@ from hydro_env.lab.worker import Worker
 LOOK = 0.3
 ROLES = {"fit": "to fit", "held_out": "held out", "": "not used"}
 LABEL = "Logs (CSV, Parquet, MAT, MDF4, TDMS), mapping or model (YAML): drop files here, or choose"
-VERDICTS = {
-    "none": "the model explains the logs",
-    "calibration": "the model explains the logs once known parameters are calibrated",
-    "effects": "effects are missing",
-    "unknown": "something is missing that no known effect explains",
-}
 
 
 class DiagnosisPage:
@@ -31,7 +25,7 @@ class DiagnosisPage:
 
     def __init__(self, worker: Worker, uploads: Uploads, jobs: Jobs) -> None:
         self._worker, self._uploads, self._jobs = worker, uploads, jobs
-        self._listed: list[tuple[str, str]] = []
+        self._listed: list[Upload] = []
         self._shown: Any = None
 
     def show(self) -> None:
@@ -69,9 +63,12 @@ class DiagnosisPage:
 
     def _list(self) -> None:
         """Lists the files again; a model that has come is the one to diagnose, and one that has gone no longer is."""
-        listed = self._uploads.listed
-        new = [path for path, role in listed if role == "model" and (path, role) not in self._listed]
-        self._listed = listed
+        new = [
+            str(each.path)
+            for each in self._uploads.files
+            if each.role == "model" and each not in self._listed
+        ]
+        self._listed = [*self._uploads.files]
         rigs = self._uploads.rigs(self._worker.seen.session.settings.preset)
         kept = self._model.value if self._model.value in rigs else next(iter(rigs))
         self._model.set_options(rigs, value=new[-1] if new else kept)
@@ -81,10 +78,6 @@ class DiagnosisPage:
                 self._list_one(upload)
 
     def _list_one(self, upload: Upload) -> None:
-        def choose(event: Any) -> None:
-            upload.role = event.value
-            self._listed = self._uploads.listed
-
         def remove() -> None:
             self._uploads.remove(upload)
             self._list()
@@ -93,7 +86,7 @@ class DiagnosisPage:
             with ui.element("span"):
                 ui.label(upload.name)
             if upload.role in ROLES:
-                use = ui.select(ROLES, value=upload.role, on_change=choose)
+                use = ui.select(ROLES).bind_value(upload, "role")
                 use.props["aria-label"] = f"use of {upload.name}"
             else:
                 ui.label(upload.role)
@@ -112,7 +105,7 @@ class DiagnosisPage:
             self._problem.text = str(problem)
 
     def _refresh(self) -> None:
-        if self._uploads.listed != self._listed:
+        if self._uploads.files != self._listed:
             self._list()
         job = self._jobs.latest
         if job is None or job is self._shown:
@@ -132,8 +125,7 @@ class DiagnosisPage:
 
     def _show_result(self, folder: str, result: Any) -> None:
         if "verdict" in result:
-            verdict = f"Verdict: {result['verdict']}: {VERDICTS.get(result['verdict'], '')}."
-            ui.label(verdict).style("font-weight: 600")
+            ui.label(f"Verdict: {result['verdict']}.").style("font-weight: 600")
             ui.link("Open the report", f"/results/{folder}/report.html", new_tab=True)
             ui.label(f"Written to {folder} in --out.").classes("lab-soft")
             _text(result["summary"])
@@ -148,8 +140,7 @@ class DiagnosisPage:
     def _use_mapping(self, text: str) -> None:
         for upload in [each for each in self._uploads.files if each.role == "mapping"]:
             self._uploads.remove(upload)
-        path = self._uploads.store("mapping.yaml", text)
-        self._uploads.add(path, "mapping.yaml (from this page)", "mapping")
+        self._uploads.store("mapping.yaml", text, "mapping.yaml (from this page)", "mapping")
 
 
 def _text(text: str) -> None:

@@ -35,18 +35,8 @@ class Motors(Element, component="motors.js"):
 
     def show(self, seen: Seen) -> None:
         """Shows the newest state."""
-        now = seen.session.now
-        rate = seen.reached if seen.running else 0.0
-        speed = [now["speed_1_rpm"], now["speed_2_rpm"]]
-        state = {
-            "angle": seen.session.angle,
-            "rate": [rate * RPM * each for each in speed],
-            "speed": speed,
-            "command": [now["command_1_V"], now["command_2_V"]],
-            "setpoint": now["setpoint_rpm"],
-            "difference": now["difference_rpm"],
-        }
-        self.run_method("show", state)
+        pace = RPM * seen.reached if seen.running else 0.0
+        self.run_method("show", {"angle": seen.session.angle, "pace": pace, **seen.session.now})
 
 
 class SlidingNumber(Element, component="slider.js"):
@@ -115,13 +105,10 @@ class Plots(ui.echart):
 
     def draw(self, past: NDArray[np.float64]) -> None:
         """Draws rows (n, len(COLUMNS))."""
-        if len(past) == 0:
-            self.run_chart_method("setOption", {"dataset": {"source": []}})
-            return
-        rows = past.round(2)
-        end = float(rows[-1, 0])
+        rows = past.round(2).tolist()
+        end = rows[-1][0] if rows else SHOWN * 0.01
         span = {"min": round(end - SHOWN * 0.01, 2), "max": end}
-        self.run_chart_method("setOption", {"dataset": {"source": rows.tolist()}, "xAxis": [span] * 3})
+        self.run_chart_method("setOption", {"dataset": {"source": rows}, "xAxis": [span] * 3})
 
 
 def _options() -> dict[str, Any]:

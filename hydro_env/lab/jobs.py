@@ -31,15 +31,15 @@ class Job:
 
     state: str = "running"
     stage: str = "starting"
+    #: Of the stages that are over, 0 to 1.
     share: float = 0.0
-    """Of the stages that are over, 0 to 1."""
     simulations: int = 0
     warnings: tuple[str, ...] = ()
     problem: str = ""
+    #: The words "verdict" and "summary" of a diagnosis, "text" and "mapping" of an inspection.
     result: Mapping[str, Any] | None = None
-    """The words "verdict" and "summary" of a diagnosis, "text" and "mapping" of an inspection."""
+    #: Name of the folder of results, below the one of all.
     folder: str = ""
-    """Name of the folder of results, below the one of all."""
 
 
 class Jobs:
@@ -83,20 +83,19 @@ class Jobs:
     def cancel(self) -> None:
         """Ends the task that runs; nothing is left of it."""
         self._cancelled = True
-        if self._process is not None:
-            self._process.kill()
         if self._thread is not None:
+            self._process.kill()
             self._thread.join()
 
     # --- in the thread that follows the process -------------------------------------------------------------------
     def _follow(self, messages: Connection, work: Path) -> None:
-        assert self.latest is not None
-        job = self.latest
+        job = Job()
         with suppress(EOFError, OSError):  # the process has ended
             while True:
                 changes = messages.recv()
-                added = changes.pop("warnings", ())
-                job = self.latest = replace(job, **changes, warnings=(*job.warnings, *added))
+                for counted in changes.keys() & {"warnings", "simulations"}:
+                    changes[counted] = getattr(job, counted) + changes[counted]
+                job = self.latest = replace(job, **changes)
         self._process.join()
         try:
             ended = self._ended(job, work)
@@ -123,7 +122,7 @@ class Jobs:
 
 # --- in the process -----------------------------------------------------------------------------------------------
 def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Connection) -> None:
-    """Does a task; each message has the words of `Job` that change."""
+    """Does a task; each message has the words of `Job` that change, of warnings and simulations those that are new."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which then ends this process
     speaking = threading.Lock()
 
@@ -158,13 +157,9 @@ def _diagnose(
     from hydro_env.diagnosis import STAGES, workflow
 
     numbers = {text: number for number, text in enumerate(STAGES.values())}
-    simulations, counting = 0, threading.Lock()
 
     def progress(text: str, more: int) -> None:
-        nonlocal simulations
-        with counting:
-            simulations += more
-        say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=simulations)
+        say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=more)
 
     if not held_out:
         fit, held_out = _in_two(fit, mapping)

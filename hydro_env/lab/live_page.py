@@ -41,44 +41,37 @@ class LivePage:
 
     def page(self) -> None:
         """Builds the page for a browser."""
-        _View(self._folder)
-
-
-class _View:
-    """What one browser sees."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._log: Followed | None = None
+        log: Followed | None = None
         with ui.element("main").classes("lab"), ui.element("div").style("grid-column: 1 / -1"):
             with section("Live rig"):
-                self._state = ui.label().classes("lab-big").props('role=status aria-live="polite"')
-                self._fault = ui.label().classes("lab-bad").props("role=alert")
-                self._numbers = ui.label().classes("lab-soft")
+                state = ui.label().classes("lab-big").props('role=status aria-live="polite"')
+                fault = ui.label().classes("lab-bad").props("role=alert")
+                numbers = ui.label().classes("lab-soft")
             with section("Last seconds"):
-                self._plots = Plots()
-        ui.timer(2.0 * PICTURE, self._look)
+                plots = Plots()
 
-    def _look(self) -> None:
-        """Reads on, and shows it."""
-        path = newest_log(self._folder)
-        if path is None:
-            self._state.text = f"no log in {self._folder} yet"
-            return
-        if self._log is None or self._log.path != path:
-            self._log = Followed(path, tuple(contract_columns()), EVERY * SHOWN)
-        self._log.look()
-        events, age = self._log.events, time.time() - path.stat().st_mtime
-        quiet = f"; no new row for {age:.0f} s" if age > QUIET else ""
-        self._state.text = f"{path.name}: {events.get('state', 'begins')}{quiet}"
-        self._fault.text = str(events.get("cause", ""))
-        rows = self._log.rows
-        if len(rows):
-            newest = zip(contract_columns(), rows[-1], strict=True)
-            self._numbers.text = ", ".join(
-                f"{name} {value:.4g}" for name, value in newest if not np.isnan(value)
-            )
-            self._plots.draw(_past(rows))
+        def look() -> None:
+            """Reads on, and shows it."""
+            nonlocal log
+            path = newest_log(self._folder)
+            if path is None:
+                state.text = f"no log in {self._folder} yet"
+                return
+            if log is None or log.path != path:
+                log = Followed(path, tuple(contract_columns()), EVERY * SHOWN)
+            log.look()
+            age = time.time() - path.stat().st_mtime
+            quiet = f"; no new row for {age:.0f} s" if age > QUIET else ""
+            state.text = f"{path.name}: {log.events.get('state', 'begins')}{quiet}"
+            fault.text = str(log.events.get("cause", ""))
+            if len(log.rows):
+                newest = zip(contract_columns(), log.rows[-1], strict=True)
+                numbers.text = ", ".join(
+                    f"{name} {value:.4g}" for name, value in newest if not np.isnan(value)
+                )
+                plots.draw(_past(log.rows))
+
+        ui.timer(2.0 * PICTURE, look)
 
 
 def _past(rows: NDArray[np.float64]) -> NDArray[np.float64]:

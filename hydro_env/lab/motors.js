@@ -32,11 +32,12 @@ export default {
   unmounted() { cancelAnimationFrame(this.frame); },
   methods: {
     whole(value) { const n = Math.round(value); return (n === 0 ? 0 : n).toString().replace("-", "\u2212"); },
-    // angle in rad; rate in rad for each second of the clock; the rest as it is shown.
+    // angle in rad; pace in rad for each rpm and second of the clock; the rest as it is shown.
     show(message) {
-      this.angle = message.angle; this.rate = message.rate; this.at = performance.now();
-      this.speed = message.speed; this.command = message.command;
-      this.setpoint = message.setpoint; this.difference = message.difference;
+      this.angle = message.angle; this.at = performance.now();
+      this.speed = [message.speed_1_rpm, message.speed_2_rpm]; this.command = [message.command_1_V, message.command_2_V];
+      this.rate = this.speed.map(speed => message.pace * speed);
+      this.setpoint = message.setpoint_rpm; this.difference = message.difference_rpm;
     },
   },
 };

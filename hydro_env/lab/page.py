@@ -56,7 +56,7 @@ class RigPage:
     def __init__(self, worker: Worker, uploads: Uploads) -> None:
         self._worker, self._uploads = worker, uploads
         self._ask = worker.ask
-        self._ports: list[tuple[Any, Any, list[Effect]]] = []
+        self._ports: list[tuple[ui.expansion, list[Effect]]] = []
         self._shown_preset = worker.seen.session.settings.preset
         self._effects: list[tuple[Slider, SlidingNumber]] = []
         self._followed: list[Callable[[Seen], None]] = []
@@ -125,9 +125,9 @@ class RigPage:
             self._shown_preset = preset
             self._show_hand()
             self._effects.clear()
-            for part, holder, effects in self._ports:
-                holder.clear()
-                self._fill(part, holder, effects)
+            for part, effects in self._ports:
+                part.clear()
+                self._fill(part, effects)
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def show_time(self) -> None:
@@ -224,18 +224,17 @@ class RigPage:
             ui.label("What a real rig does beyond the equations. A slider acts at once.").classes("lab-soft")
             quiet_button("All as they were", lambda: self._ask(Session.clear_effects))
             for port, effects in effects_by_port().items():
-                with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
-                    holder = ui.element("div")
-                part.on_value_change(partial(self._fill, part, holder, effects))
-                self._ports.append((part, holder, effects))
+                part = ui.expansion(f"{port} ({len(effects)})").classes("w-full")
+                part.on_value_change(partial(self._fill, part, effects))
+                self._ports.append((part, effects))
         ui.timer(0.5, self._follow_effects)
 
-    def _fill(self, part: Any, holder: Any, effects: list[Effect], _: Any = None) -> None:
+    def _fill(self, part: ui.expansion, effects: list[Effect]) -> None:
         """Makes the sliders of a port that is open."""
-        if not part.value or holder.default_slot.children:
+        if not part.value or part.default_slot.children:
             return
         scales = self._worker.seen.session.reach.scales
-        with holder:
+        with part:
             for effect in effects:
                 ui.html(f"<h3>{escape(effect.title)}</h3>", sanitize=False, tag="div")
                 ui.label(effect.summary).classes("lab-soft")

@@ -37,12 +37,12 @@ class Reach:
     """What the valves of a rig do at their rated commands."""
 
     rated_V: tuple[float, float]
+    #: Without load, of the weaker channel.
     speed_rpm: float
-    """Without load, of the weaker channel."""
+    #: At standstill, of the weaker channel; of a motor without leakage that at the supply pressure, or at 350 bar.
     torque_Nm: float
-    """At standstill, of the weaker channel; of a motor without leakage that at the supply pressure, or at 350 bar."""
+    #: Of both channels, beside the paper's rig.
     scales: tuple[Scales, Scales]
-    """Of both channels, beside the paper's rig."""
 
 
 def reach_of(model: PlantModel) -> Reach:
@@ -64,14 +64,14 @@ def reach_of(model: PlantModel) -> Reach:
 class Reading:
     """A rig at one instant: what the sensors show, and the true signals (see `envs.step_kernels.COLUMNS`)."""
 
+    #: (1, 9), as the environment gives it.
     observation: NDArray[np.float32]
-    """(1, 9), as the environment gives it."""
+    #: (2,), true.
     speed_rpm: Floats
-    """(2,), true."""
+    #: (2,), of the shafts since the start, rad.
     angle: Floats
-    """(2,), of the shafts since the start, rad."""
+    #: (2,), in force until now.
     command_V: Floats
-    """(2,), in force until now."""
 
 
 class LiveRig:

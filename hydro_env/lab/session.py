@@ -1,10 +1,12 @@
-"""The session: a rig, the controller that drives it, the scenario it follows, and its signals of the last seconds.
+"""The session: a rig, the controller that drives it, the scenario it follows, its signals of the last seconds, and logs of it.
 
-A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock.
+A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock. A log is as it
+would come from a rig: columns, noise and resolution of the practice logs, at 1 kHz.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +16,11 @@ from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.rollout import inform
 from hydro_env.errors import InputError
-from hydro_env.lab.recording import MAX_SECONDS, Recording
-from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
+from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
+from hydro_env.plant import Scales
+from hydro_env.practice.recorder import COLUMNS as LOGGED
+from hydro_env.practice.recorder import SENSORS, columns_of, log_text
 from hydro_env.tasks import load_scenario
 from hydro_env.units import RPM
 
@@ -32,6 +36,10 @@ COLUMNS = (
 TUNED_FOR = "paper_dead_zone"
 #: Numbers of pairs of valves.
 CASES = Limits(0, 2**31 - 1, whole=True)
+#: Seconds after which a recording ends by itself.
+MAX_SECONDS = 120.0
+
+_READ = {sensor.signal: name for name, sensor in SENSORS.items() if sensor.signal in RECORDED}
 
 
 @dataclass(frozen=True)
@@ -53,26 +61,64 @@ class Snapshot:
 
     settings: Settings
     time: float
-    angle: tuple[float, float]
+    angle: tuple[float, ...]
     past: Floats
-    load_Nm: tuple[float, float]
-    """In force, those of the scenario included."""
+    #: In force, those of the scenario included.
+    load_Nm: tuple[float, ...]
+    #: Every parameter of the effects offered, as it is on both channels, SI.
     effects: dict[str, tuple[float, float]]
-    """Every parameter of the effects offered, as it is on both channels, SI."""
+    #: Of the rig, and so of what is set by hand.
     reach: Reach
-    """Of the rig, and so of what is set by hand."""
+    #: What is to be known of the controller, "" for nothing.
     note: str
-    """What is to be known of the controller, "" for nothing."""
+    #: What went wrong last, in one line, "" for nothing.
     problem: str
-    """What went wrong last, in one line, "" for nothing."""
+    #: Seconds of the log that is being recorded.
     recorded: float | None
-    """Seconds of the log that is being recorded."""
 
     @property
     def now(self) -> dict[str, float]:
         """The newest row of `past` by column, zeros before there is one."""
         row = self.past[-1] if len(self.past) else np.zeros(len(COLUMNS))
         return dict(zip(COLUMNS, map(float, row), strict=True))
+
+
+class Recording:
+    """Rows of a log, a control period at a time. The readings that a controller got stand in the first row of each."""
+
+    def __init__(self, seed: int, scales: Scales) -> None:
+        self._columns = columns_of(scales)
+        self._stream = np.random.default_rng(seed)
+        self._periods: list[dict[str, Floats]] = []
+
+    @property
+    def seconds(self) -> float:
+        """How long it is, s."""
+        return len(self._periods) * PERIOD
+
+    def add(
+        self, setpoint_rpm: float, command_V: Floats, load_Nm: Floats, noise: Floats, signals: Mapping[str, Floats]
+    ) -> None:  # fmt: skip
+        """Adds a control period: what was in force, (2,) each, the sensors' noise at its beginning (6,), and what
+        `LiveRig.hold` recorded."""
+        rows = {"setpoint": np.full((SAMPLES, 1), setpoint_rpm)}
+        rows |= {"command": np.tile(command_V, (SAMPLES, 1)), "load": np.tile(load_Nm, (SAMPLES, 1))}
+        for name, first in zip(RECORDED, noise.reshape(3, 2), strict=True):
+            sensor = self._columns[_READ[name]]
+            errors = self._stream.standard_normal((SAMPLES, 2))
+            errors[0] = first
+            shown = signals[name] / sensor.size + sensor.noise * errors
+            rows[_READ[name]] = np.round(shown / sensor.resolution) * sensor.resolution
+        self._periods.append(rows)
+
+    def text(self) -> str:
+        """The log as CSV."""
+        rows = {name: np.vstack([period[name] for period in self._periods]) for name in self._periods[0]}
+        setpoint = rows.pop("setpoint")[:, 0]
+        columns = {"time_s": np.arange(len(setpoint)) * PERIOD / SAMPLES, "setpoint_rpm": setpoint}
+        for c in (0, 1):
+            columns |= {f"{n}_{c + 1}_{LOGGED[n].unit}": values[:, c] for n, values in rows.items()}
+        return log_text(columns, self._columns)
 
 
 class Session:
@@ -85,12 +131,11 @@ class Session:
         self._streams = np.random.SeedSequence(seed)
         self._recording: Recording | None = None
         self.finished_log = ""
-        self.problem = ""
-        chosen = self.settings
-        self._rig = self._made(chosen.preset, chosen.split, chosen.number)
+        self._rig = LiveRig(self.settings.preset, noise=noise, seed=seed)
+        self._rig.take_pair(self.settings.split, self.settings.number)
         self._effects = self._rig.values()
-        self._controller = make_controller(chosen.controller)
-        self.choose_scenario(chosen.scenario)
+        self.choose_controller(self.settings.controller)
+        self.choose_scenario(self.settings.scenario)
         self.reset()
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
@@ -98,10 +143,11 @@ class Session:
         """Puts in another pair of valves. Effects set by hand are kept. Another preset restarts the rig, with nothing set by
         hand."""
         number = CASES.check(number, "pair")
-        if preset == self.settings.preset:
-            self._rig.take_pair(split, number)
-        else:
-            self._rig = self._made(preset, split, number)
+        same = preset == self.settings.preset
+        rig = self._rig if same else LiveRig(preset, noise=self._noise, seed=self._seed)
+        rig.take_pair(split, number)
+        if not same:
+            self._rig = rig
             self.settings = replace(self.settings, setpoint_rpm=0.0, load_Nm=(0.0, 0.0))
             self.reset()
         self.settings = replace(self.settings, preset=preset, split=split, number=number)
@@ -110,6 +156,7 @@ class Session:
     def choose_controller(self, name: str) -> None:
         """Lets another controller take over, from where the rig stands."""
         self._controller = make_controller(name)
+        self._needs = str(getattr(self._controller, "needs", "measurements"))
         self.settings = replace(self.settings, controller=name)
         self.problem = ""
         self._fresh = True
@@ -160,7 +207,7 @@ class Session:
     # --- recording ------------------------------------------------------------------------------------------------
     def record(self) -> None:
         """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
-        a reset, or after `recording.MAX_SECONDS` seconds; its text then stands in `finished_log`."""
+        a reset, or after `MAX_SECONDS` seconds; its text then stands in `finished_log`."""
         self.reset()
         self._recording = Recording(int(self._stream().integers(2**32)), self._rig.scales)
 
@@ -180,7 +227,9 @@ class Session:
         """One control period. A controller that fails leaves both valves without command, and `problem` says why."""
         setpoint, load = self._wanted()
         reading = self._reading = self._rig.sense(setpoint)
-        self._remember(reading, setpoint)
+        one, two = reading.speed_rpm
+        row = [self._rig.time, setpoint, one, two, one - two, *reading.command_V]
+        self._past = np.vstack([self._past[-SHOWN + 1 :], row])
         action = self._action(reading)
         rows = self._rig.hold(action, load, record=self._recording is not None)
         if self._recording is not None:
@@ -200,13 +249,13 @@ class Session:
     def snapshot(self) -> Snapshot:
         """The session as it is."""
         _, load = self._wanted()
-        angle = (0.0, 0.0) if self._reading is None else self._reading.angle
+        angle = np.zeros(2) if self._reading is None else self._reading.angle
         return Snapshot(
             self.settings,
             self._rig.time,
-            (float(angle[0]), float(angle[1])),
+            tuple(angle.tolist()),
             self._past,
-            (float(load[0]), float(load[1])),
+            tuple(load.tolist()),
             self._effects,
             self._rig.reach,
             self._note(),
@@ -218,11 +267,6 @@ class Session:
     def _stream(self) -> np.random.Generator:
         return np.random.default_rng(self._streams.spawn(1)[0])
 
-    def _made(self, preset: str, split: str, number: int) -> LiveRig:
-        rig = LiveRig(preset, noise=self._noise, seed=self._seed)
-        rig.take_pair(split, number)
-        return rig
-
     def _wanted(self) -> tuple[float, Floats]:
         """Set-point in rpm and loads (2,) in N m that are in force from now on."""
         own = np.array(self.settings.load_Nm)
@@ -230,27 +274,24 @@ class Session:
             return self.settings.setpoint_rpm, own
         return float(self._reference.setpoint[self._row]) / RPM, self._reference.load[self._row] + own
 
-    @property
-    def _needs(self) -> str:
-        return str(getattr(self._controller, "needs", "measurements"))
-
     def _rig_changed(self) -> None:
         """A controller that knows the valves restarts with what they now are."""
         self._effects = self._rig.values()
-        if self._needs != "measurements":
-            self._fresh = True
+        self._fresh |= self._needs != "measurements"
 
     def _loads_changed(self) -> None:
         """A controller that knows the loads to come restarts with what they now are."""
-        if self._needs == "everything":
-            self._fresh = True
+        self._fresh |= self._needs == "everything"
 
     def _action(self, reading: Reading) -> Floats:
         if self.problem:
             return np.zeros(2)
         try:
             if self._fresh:
-                self._tell()
+                loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
+                coming = (loads + np.array(self.settings.load_Nm))[:, None, :]
+                inform(self._controller, self._rig.model, self._rig.plant, lambda: coming)
+                self._controller.reset(1, PERIOD)
                 self._fresh = False
             action = np.asarray(self._controller.act(reading.observation), dtype=float).reshape(2)
             if not np.isfinite(action).all():
@@ -259,17 +300,6 @@ class Session:
         except Exception as problem:  # a controller of the user's may raise anything
             self.problem = str(InputError(f"{self.settings.controller} failed and was stopped: {problem}"))
             return np.zeros(2)
-
-    def _tell(self) -> None:
-        loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
-        coming = (loads + np.array(self.settings.load_Nm))[:, None, :]
-        inform(self._controller, self._rig.model, self._rig.plant, lambda: coming)
-        self._controller.reset(1, PERIOD)
-
-    def _remember(self, reading: Reading, setpoint: float) -> None:
-        one, two = reading.speed_rpm
-        row = [self._rig.time, setpoint, one, two, one - two, *reading.command_V]
-        self._past = np.vstack([self._past[-SHOWN + 1 :], row])
 
     def _note(self) -> str:
         notes = []

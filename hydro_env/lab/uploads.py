@@ -78,20 +78,15 @@ class Uploads:
         if upload.path.parent == Path(self._folder.name):
             upload.path.unlink(missing_ok=True)
 
-    def store(self, name: str, text: str) -> Path:
-        """A text as a file of the temporary folder."""
-        path = Path(self._folder.name) / name
+    def store(self, file: str, text: str, name: str, role: str) -> None:
+        """Lists a text, as a file of the temporary folder."""
+        path = Path(self._folder.name) / file
         path.write_text(text, encoding="utf-8")
-        return path
+        self.add(path, name, role)
 
     def with_role(self, role: str) -> list[Path]:
         """The files of a role, in their order."""
         return [upload.path for upload in self.files if upload.role == role]
-
-    @property
-    def listed(self) -> list[tuple[str, str]]:
-        """Path and role of each file."""
-        return [(str(each.path), each.role) for each in self.files]
 
     def rigs(self, chosen: str) -> dict[str, str]:
         """What can be driven and diagnosed, with its name: presets, models that are here, and what is chosen."""

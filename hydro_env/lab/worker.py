@@ -11,10 +11,6 @@ from dataclasses import dataclass
 from hydro_env.errors import InputError
 from hydro_env.lab.rig import PERIOD
 from hydro_env.lab.session import Session, Snapshot
-from hydro_env.limits import Limits
-
-#: Seconds of the rig in a second of the clock.
-TEMPO = Limits(0.01, 10.0)
 
 #: Pause between two looks at the clock, s.
 _PAUSE = 0.01
@@ -26,14 +22,15 @@ _MEASURED_OVER = 1.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a page shows: the session, whether it runs, how fast it is to run (`TEMPO`) and how fast it does."""
+    """What a page shows: the session, whether it runs, how many seconds of the rig there are to be in one of the
+    clock (`tempo`), and how many there are (`reached`)."""
 
     session: Snapshot
     running: bool
     tempo: float
     reached: float
+    #: Why the last change was refused, "" if it was made.
     refused: str
-    """Why the last change was refused, "" if it was made."""
 
 
 class Worker:
@@ -68,7 +65,7 @@ class Worker:
 
     def set_tempo(self, tempo: float) -> None:
         """How many seconds of the rig there are in a second of the clock."""
-        self._tempo = TEMPO.check(tempo, "speed")
+        self._tempo = tempo
 
     def _look(self) -> Seen:
         return Seen(self._session.snapshot(), self._running, self._tempo, self._reached, self._refused)

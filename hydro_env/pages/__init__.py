@@ -33,17 +33,17 @@ __all__ = [
     "COLOURS", "beside_results", "figure", "fill", "import_in_background", "legend", "png", "render", "svg",
 ]  # fmt: skip
 
+#: Line colours that can be told apart on white and on dark, also by most colour-blind eyes.
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
-"""Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
 
+#: Stands for the page's own text colour in an SVG until `svg` puts that in its place.
 INK = "#123456"
-"""Stands for the page's own text colour in an SVG until `svg` puts that in its place."""
 
+#: Width of a figure, inches.
 WIDTH = 8.6
-"""Width of a figure, inches."""
 
+#: Room for a row of a legend above axes, for numbers and a label below or for ticks alone, and on the right, inches.
 ABOVE, BELOW, TICKS, RIGHT = 0.3, 0.45, 0.06, 0.1
-"""Room for a row of a legend above axes, for numbers and a label below or for ticks alone, and on the right, inches."""
 
 RC: Any = {
     "svg.fonttype": "none",
@@ -129,23 +129,20 @@ def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> 
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({**RC, **{f"{name}color": INK for name in _INKED}}):
+    with matplotlib.rc_context({**RC, **dict.fromkeys(_INKED, INK)}):
         made = Figure(figsize=(WIDTH, height * rows), layout="constrained" if left is None else None)
-        places = None if left is None else _places(rows, height * rows, left)
-        axes = made.subplots(rows, sharex=True, squeeze=False, gridspec_kw=places)[:, 0]
+        if left is not None:
+            whole, between = height * rows, ABOVE + TICKS
+            each = (whole - ABOVE - BELOW - between * (rows - 1)) / rows
+            ends = {"bottom": BELOW / whole, "top": 1.0 - ABOVE / whole}
+            made.subplots_adjust(left / WIDTH, right=1.0 - RIGHT / WIDTH, **ends, hspace=between / each)
+        axes = made.subplots(rows, sharex=True, squeeze=False)[:, 0]
     return made, list(axes)
 
 
-def _places(rows: int, height: float, left: float) -> dict[str, float]:
-    """Where `rows` axes stand in a figure of `height` inches, as Matplotlib's `GridSpec` takes it."""
-    between = ABOVE + TICKS
-    each = (height - ABOVE - BELOW - between * (rows - 1)) / rows
-    ends = {"bottom": BELOW / height, "top": 1.0 - ABOVE / height}
-    return {"left": left / WIDTH, "right": 1.0 - RIGHT / WIDTH, **ends, "hspace": between / each}
-
-
 _INKED = (
-    "text.", "axes.label", "axes.edge", "axes.title", "grid.", "xtick.", "ytick.", "xtick.label", "ytick.label",
+    "text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "grid.color", "xtick.color", "ytick.color",
+    "xtick.labelcolor", "ytick.labelcolor",
 )  # fmt: skip
 
 
@@ -184,15 +181,8 @@ def _as_written(drawing: Figure) -> None:
     """Shows all texts but the numbers at the axes as they are: a name with two "$" is not a formula."""
     from matplotlib.text import Text
 
-    texts = list(drawing.texts)
-    for axis in drawing.axes:
-        texts += [child for child in axis.get_children() if isinstance(child, Text)]
-        texts += [
-            axis.xaxis.label,
-            axis.yaxis.label,
-            *(key.get_texts() if (key := axis.get_legend()) else ()),
-        ]
-    for text in texts:
+    sides = [side for axis in drawing.axes for side in (axis.xaxis, axis.yaxis)]
+    for text in {*drawing.findobj(Text)}.difference(*(side.get_ticklabels(which="both") for side in sides)):
         text.set_parse_math(False)
 
 

@@ -215,7 +215,8 @@ def test_full_disk(name: str, logs: Path, tmp_path: Path, monkeypatch: pytest.Mo
     """From every write on in turn, into a new folder and over earlier results."""
     from hydro_env.experiments import close_loop
 
-    monkeypatch.setattr(close_loop, "Settings", partial(close_loop.Settings, duration=4.0, generations=2))
+    monkeypatch.setattr(close_loop, "Settings", partial(close_loop.Settings, generations=2))
+    monkeypatch.setattr(close_loop, "DURATION", 4.0)
     root, kept = tmp_path / "disk", tmp_path / "kept"
     root.mkdir()
     out = root / "out"

@@ -64,7 +64,7 @@ def test_bad_input_is_refused_in_one_line(
     where = ["--set", str(tmp_path / "none"), "--out", str(tmp_path / "out")]
     text = refused(["diagnose", *where], monkeypatch, capsys)
     assert text.endswith(
-        "'diagnose': known are sindy, polynomial, certify, network, ask_random, ask_d_optimal, or all\n"
+        "'diagnose': known are sindy, polynomial, certify, network, ask_random, ask_d_optimal, all\n"
     )
     assert "set.json" in refused(["certify", *where], monkeypatch, capsys)
     monkeypatch.setattr(command, "find_spec", lambda name: None)

@@ -15,7 +15,7 @@ from hydro_env.benchmark import command as benchmark
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.experiments import demo
-from hydro_env.experiments.shaft_animation import EVERY, animation, record
+from hydro_env.experiments.demo import EVERY, animation, record
 from tests.browser import needs_browser, shown
 
 TITLES = {"pid_paper": "The paper's PID", "ppo": "An agent"}

@@ -172,7 +172,7 @@ def test_an_unknown_method_is_refused_with_those_there_are(
     words = ["run", "diagnose", "certify", "--set", str(tmp_path), "--out", str(tmp_path / "out")]
     assert run(["naming-benchmark", *words]) == 2
     text = capsys.readouterr().err
-    assert text == "error: unknown method 'certify': known are diagnose, calibrate, ask, or all\n"
+    assert text == "error: unknown method 'certify': known are diagnose, calibrate, ask, all\n"
     assert not (tmp_path / "out").exists()
 
 

@@ -44,7 +44,7 @@ ALLOWED = {
     "fmu_plant": "errors reading units validation plant",
     "export": "errors files ir plant units envs controllers",
     "training": "errors files reading validation pickles units tasks controllers sb3",
-    "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks envs"
+    "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs"
     " valve_bench controllers diagnosis case benchmark",
     "live": "errors files reading units validation plant practice tasks measured envs controllers",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis case"

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hydro_env.envs.batch import OPTIONS, HydraulicSyncVectorEnv
-from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
+from hydro_env.experiments.reproduce import SETPOINT_STEPS, run_paper
 from hydro_env.plant import load_model
 
 ROOT = Path(__file__).parents[2]

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from hydro_env import cli
 from hydro_env.errors import InputError
-from hydro_env.experiments.valve_pairs import pair_model
+from hydro_env.experiments.valve_test import pair_model
 from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 from hydro_env.valve_bench import (

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from hydro_env.diagnosis.estimation.noise import effective_samples
-from hydro_env.experiments.naming_benchmark.calibrated import Named, Start
+from hydro_env.experiments.naming_benchmark.methods import Start
 from hydro_env.plant import CATALOGUE
 
 from .equations import Equation, equations
 
 Array = NDArray[np.float64]
+Named = list[dict[str, Any]]
 
 #: False-discovery rate of `certify`.
 FALSE_DISCOVERIES = 0.05

@@ -22,7 +22,7 @@ from scipy.signal import savgol_filter
 from hydro_env.diagnosis.estimation.noise import noise_floor
 from hydro_env.diagnosis.input.parts import filled
 from hydro_env.diagnosis.models.base import Request, effect_in
-from hydro_env.experiments.naming_benchmark.calibrated import Start
+from hydro_env.experiments.naming_benchmark.methods import Start
 
 Array = NDArray[np.float64]
 

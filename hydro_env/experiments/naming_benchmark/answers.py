@@ -15,12 +15,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
-from ...errors import InputError, shown, suggestion
+from ...errors import InputError, check_known, located, shown
 from ...plant import CATALOGUE
 from ...reading import read_json
 from ...validation import FileTable, Number, checked, known
 
 SCHEMA = "hydro_env/naming_answer/1"
+#: Folder beside the answers of a method with the whole diagnosis of each rig.
+WHOLE = "whole"
 
 
 class _Named(BaseModel):
@@ -60,11 +62,8 @@ def read_answers(folder: Path, rigs: list[str], first: int | None = None) -> dic
         raise InputError(
             f"{folder}: {len(missing)} of {len(wanted)} answers are missing, the first is {missing[0]}.json"
         )
-    foreign = sorted(p.name for p in folder.glob("*.json") if p.stem not in rigs)
-    if foreign:
-        raise InputError(
-            f"{folder / foreign[0]}: the set has no rig of that name; {suggestion(Path(foreign[0]).stem, rigs)}"
-        )
+    with located(folder):
+        check_known("the set has no rig", sorted(path.stem for path in folder.glob("*.json")), rigs)
     return {name: read_answer(folder / f"{name}.json", name) for name in wanted}
 
 

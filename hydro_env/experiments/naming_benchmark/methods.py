@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -17,18 +18,28 @@ from typing import Any
 from tqdm import tqdm
 
 from ...diagnosis import Diagnosis, diagnose
-from ...errors import InputError
+from ...diagnosis.estimation.estimate import Estimate
+from ...diagnosis.estimation.fit import Fit
+from ...diagnosis.input.checks import read_logs
+from ...diagnosis.logs import Logs
+from ...diagnosis.models.dynamic_rig import DynamicRig
+from ...diagnosis.settings import Settings
+from ...diagnosis.stages import calibration, consistency
+from ...diagnosis.stages.validation import prove
+from ...diagnosis.stages.values import estimated_model
+from ...errors import check_known
 from ...files import write_json
-from ...plant import BUILT_IN
+from ...plant import BUILT_IN, PlantModel, load_model
 from ...reading import read_json
-from .answers import answer, read_answer
-from .calibrated import name_beside
-from .certainty import WHOLE
+from .answers import WHOLE, answer, read_answer
 from .dialogue import Designer, asked, converse
 from .sets import read_set
 
 #: Takes the folder of a rig and a folder for its answer's files, and returns the answer; None where it waits for a log.
 Method = Callable[[Path, Path], dict[str, Any] | None]
+
+#: A speed of the validation log within this multiple of its noise counts as explained.
+EXPLAINED = 1.3
 
 
 def diagnosed(folder: Path, answers: Sequence[Path] = ()) -> Diagnosis:
@@ -39,42 +50,72 @@ def diagnosed(folder: Path, answers: Sequence[Path] = ()) -> Diagnosis:
     return diagnose(logs, [folder / "validation.csv"], folder / "model.yaml", without=without)
 
 
-def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Start:
+    """A rig with its calibrated model: `verdict` is none, calibration, or unknown where the calibrated model leaves a speed of
+    the validation log above its noise, on the channels `open`."""
+
+    rig: DynamicRig
+    estimates: Mapping[int, Estimate]
+    model: PlantModel
+    verdict: str
+    open: tuple[int, ...]
+    seconds: float
+
+
+def begin(folder: Path) -> Start:
+    """Calibrates the model of a rig's folder; `seconds` is the processor time that it took."""
     start = time.process_time()
-    return _answer(diagnosed(folder), folder, out, start)
+    about = read_json(folder / "rig.json", "a rig of the naming benchmark")
+    parts, held_out = read_logs(sorted(folder.glob("fit_*.csv")), [folder / "validation.csv"], None)
+    model = load_model(folder / "model.yaml")
+    rig = DynamicRig(model, parts, without=frozenset(BUILT_IN) - frozenset(about["candidates"]))
+    fine, others = rig.with_parts(parts, False), rig.with_parts(held_out, True)
+    found = calibration.run(consistency.run(Logs(Fit(rig, {}, Settings()), fine, others)))
+    estimates = found.estimates
+    errors = prove(others, {"before": found.given, "calibrated": estimates, "after": estimates}).errors
+
+    def above(which: str) -> tuple[int, ...]:
+        speeds = {c: e for (c, signal), e in errors.items() if signal == "speed"}
+        return tuple(c for c, e in speeds.items() if e[which] > EXPLAINED * e["noise"])
+
+    missing = above("calibrated")
+    verdict = "unknown" if missing else "calibration" if above("before") else "none"
+    best = model if verdict == "none" else estimated_model(rig, estimates, "calibrated")
+    return Start(rig, estimates, best, verdict, missing, time.process_time() - start)
 
 
-def _answer(found: Diagnosis, folder: Path, out: Path, start: float) -> dict[str, Any]:
-    """The answer of a diagnosis that was begun at the processor time `start`, and its files."""
-    data = found.as_dict()
-    effects = [{k: e[k] for k in ("name", "channel", "probability")} for e in data["effects"]]
-    verdict = found.verdict
-    (out / WHOLE).mkdir(exist_ok=True)
-    write_json(out / WHOLE / f"{folder.name}.json", data)
-    found.model.to_yaml(out / f"{folder.name}.yaml", source="diagnosis of logs")
-    named = effects if verdict == "effects" else []
-    return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")
+def _calibrate(folder: Path, out: Path) -> dict[str, Any]:
+    start = begin(folder)
+    start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
+    return answer(folder.name, start.verdict, [], start.seconds, model=f"{folder.name}.yaml")
 
 
 def asking(design: Designer, folder: Path, out: Path) -> dict[str, Any] | None:
     """Diagnoses a rig, asks it what `design` proposes, and diagnoses again; None while a question waits for an answer."""
     start = time.process_time()
     found = converse(design, partial(diagnosed, folder), folder, out / folder.name)
-    return None if found is None else _answer(found, folder, out, start)
+    if found is None:
+        return None
+    data, name = found.as_dict(), f"{folder.name}.yaml"
+    (out / WHOLE).mkdir(exist_ok=True)
+    write_json(out / WHOLE / f"{folder.name}.json", data)
+    found.model.to_yaml(out / name, source="diagnosis of logs")
+    effects = data["effects"] if found.verdict == "effects" else []
+    named = [{key: effect[key] for key in ("name", "channel", "probability")} for effect in effects]
+    return answer(folder.name, found.verdict, named, time.process_time() - start, model=name)
 
 
 METHODS: dict[str, Method] = {
-    "diagnose": _diagnose,
-    "calibrate": partial(name_beside, lambda start: []),
+    "diagnose": partial(asking, lambda found, rng: None),
+    "calibrate": _calibrate,
     "ask": partial(asking, asked),
 }
 
 
 def chosen(words: Sequence[str], methods: Mapping[str, Method]) -> dict[str, Method]:
     """The methods of these names, or all for `all`. InputError for a name that none has."""
-    for word in words:
-        if word != "all" and word not in methods:
-            raise InputError(f"unknown method {word!r}: known are {', '.join(methods)}, or all")
+    check_known("unknown method", words, [*methods, "all"])
     return dict(methods) if "all" in words else {word: methods[word] for word in words}
 
 

@@ -2,6 +2,10 @@
 
 A name counts as right if it is the hidden one or one that the catalogue declares indistinguishable from it. Intervals of
 shares are Wilson's, those of medians come from a bootstrap over rigs; both at 95 %.
+
+Of whole diagnoses it is counted, too, how certain they are: how often intervals hold the true value, and how often names are
+right, by their probability. A true value outside its interval under a verdict `unknown` is counted apart: something is missing
+there, and a model that lacks something has no true parameters.
 """
 
 from __future__ import annotations
@@ -17,9 +21,8 @@ from ...errors import InputError
 from ...plant import CATALOGUE, load_model, simulate
 from ...reading import read_json
 from ...units import RPM
-from ..coverage import by_channel, wilson
-from .answers import read_answers
-from .certainty import certainty, lines
+from ..coverage import by_channel, covered, given_names, percent, reliability_lines, wilson
+from .answers import WHOLE, read_answers
 from .dialogue import answers_of
 from .sets import columns_of, read_commands, read_set, read_truth
 
@@ -102,7 +105,7 @@ def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -
             rows.append({"method": method, **judge(found[name], truth, error), "questions": questions})
     return {
         "schema": SCHEMA, "seed": seed, "rigs": len(rigs), "summary": summary(rows),
-        "certainty": {m: c for m, path in methods.items() if (c := certainty(path, truths)) is not None},
+        "certainty": {m: c for m, path in methods.items() if (c := _certainty(path, truths)) is not None},
         "rows": rows,
     }  # fmt: skip
 
@@ -158,7 +161,7 @@ def table(scores: Mapping[str, Any]) -> str:
         text.append("| " + " | ".join(cells) + " |")
     text += ["", *_ahead(scores["summary"])]
     for method, found in scores["certainty"].items():
-        text += ["", f"What `{method}` says of its own certainty:", "", *lines(found)]
+        text += ["", f"What `{method}` says of its own certainty:", "", *_certainty_lines(found)]
     return "\n".join(text)
 
 
@@ -179,12 +182,50 @@ def _ahead(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     if len(entries) < 2:
         return []
     first, *others = entries
-    behind = [
-        o["method"]
-        for o in others
-        if first["name"]["count"] <= o["name"]["count"] or first["alarm"]["count"] > o["alarm"]["count"]
-    ]
-    ahead = [f"`{o['method']}`" for o in others if o["method"] not in behind]
-    than = ", ".join(ahead) or "none of the others"
+    names: dict[bool, list[str]] = {True: [], False: []}
+    for other in others:
+        more = first["name"]["count"] > other["name"]["count"]
+        names[more and first["alarm"]["count"] <= other["alarm"]["count"]].append(f"`{other['method']}`")
+    than = ", ".join(names[True]) or "none of the others"
     text = [f"`{first['method']}` names more, at no more false alarms, than {than}."]
-    return text + ([f"It does not against {', '.join(f'`{m}`' for m in behind)}."] if behind else [])
+    return text + ([f"It does not against {', '.join(names[False])}."] if names[False] else [])
+
+
+# --- what whole diagnoses say of their own certainty ---------------------------------------------------------------------
+def _certainty(answers: Path, truths: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Names by "answers" and "guesses" as (probability, right), and true values inside their intervals as [inside, all].
+
+    None for a method that leaves no whole diagnoses.
+    """
+    found: dict[str, Any] = {
+        "names": {"answers": [], "guesses": []},
+        "inside": {w: {"base": [0, 0], "effects": [0, 0]} for w in ("confirmed", "unknown")},
+        "outside": {},
+    }
+    for name, truth in truths.items():
+        path = answers / WHOLE / f"{name}.json"
+        if not path.exists():
+            return None
+        data = read_json(path, "a whole diagnosis")
+        unknown = data["verdict"] == "unknown"
+        points = given_names(data["effects"], by_channel(truth["effects"]))
+        found["names"]["answers" if data["verdict"] == "effects" else "guesses"] += points
+        counts = covered(data, truth)
+        for kind, total in found["inside"]["unknown" if unknown else "confirmed"].items():
+            total[:] = [a + b for a, b in zip(total, counts[kind], strict=True)]
+        if not unknown:
+            for symbol in counts["outside"]:
+                short = symbol if "." in symbol else symbol.rsplit("_", 1)[0]
+                found["outside"][short] = found["outside"].get(short, 0) + 1
+    return found
+
+
+def _certainty_lines(found: Mapping[str, Any]) -> list[str]:
+    """Two tables in Markdown: intervals, and probabilities where names have any."""
+    text = ["| 95 % intervals | parameters | hold the true value |", "|---|---|---|"]
+    for verdict, kinds in found["inside"].items():
+        for kind, (inside, of) in kinds.items():
+            if of:
+                which = "verdict `unknown`" if verdict == "unknown" else "all other verdicts"
+                text.append(f"| {which} | {kind} | {inside} of {of} ({percent(inside, of)}) |")
+    return [*text, "", *reliability_lines(found["names"])]

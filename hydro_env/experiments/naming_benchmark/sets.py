@@ -31,9 +31,10 @@ from tqdm import tqdm
 
 from ...errors import InputError
 from ...files import write_json, write_text
+from ...measured.formats import read_table
 from ...plant import BUILT_IN, CATALOGUE
 from ...plant.sensors import NOISE
-from ...practice.generate import Practice, make_practice
+from ...practice.generate import make_practice
 from ...practice.recorder import log_text
 from ...reading import read_json
 
@@ -108,12 +109,11 @@ def make_set(out: Path, rigs: int, seed: int, ask: bool = False) -> None:
     names = [f"rig_{n + 1:03d}" for n in range(rigs)]
     about = {"schema": SET_SCHEMA, "rigs": names, "ask": ask}
     drawn = {"seed": seed, **about}
-    if (out / "truth" / "set.json").exists() and read_json(
-        out / "truth" / "set.json", "a set's seed"
-    ) != drawn:
+    path = out / "truth" / "set.json"
+    if path.exists() and read_json(path, "a set's seed") != drawn:
         raise InputError(f"{out}: holds another set than --rigs {rigs} --seed {seed}; name another --out")
-    (out / "truth").mkdir(parents=True, exist_ok=True)
-    write_json(out / "truth" / "set.json", drawn)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, drawn)
     shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
     kinds = _kinds(rigs, np.random.default_rng(shared))
     bar = tqdm(zip(names, kinds, own, strict=True), total=rigs, unit="rig", disable=None)
@@ -154,30 +154,23 @@ def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any], ask: bo
     about = {"schema": RIG_SCHEMA, "rig": name, "candidates": candidates, "scored_from_s": DURATION}
     write_json(folder / "rig.json", about | ({"budget": BUDGET} if ask else {}))
     write_text(out / "truth" / f"{name}.csv", log_text(scored))
-    truth = _truth(name, kind, drawn, short)
-    write_json(out / "truth" / f"{name}.json", truth | {"hidden": drawn["effects"], "values": values})
-
-
-def _truth(name: str, kind: str, drawn: Mapping[str, Any], practice: Practice) -> dict[str, Any]:
-    return {
+    truth = {
         "schema": TRUTH_SCHEMA,
         "rig": name,
         "kind": kind,
-        "verdict": "unknown" if kind == "unlisted" else practice.truth["verdict"],
+        "verdict": "unknown" if kind == "unlisted" else short.truth["verdict"],
         "noise_rpm": NOISE["speed_rpm"] * drawn["noise"],
-        **{key: practice.truth[key] for key in ("effects", "base_parameters", "form_constants")},
-        **{key: drawn[key] for key in ("severity", "base_error", "noise", "record", "seed", "left_out")},
+        **{key: short.truth[key] for key in ("effects", "base_parameters", "form_constants")},
+        **{key: drawn[key] for key in (*settings, "left_out")},
+        "hidden": drawn["effects"],
+        "values": values,
     }
+    write_json(out / "truth" / f"{name}.json", truth)
 
 
 def read_set(folder: Path) -> dict[str, Any]:
     """The content of set.json. InputError where it is none."""
-    about = read_json(folder / "set.json", "a set of `hydro-env naming-benchmark make`")
-    if not isinstance(about, dict) or about.get("schema") != SET_SCHEMA or not about.get("rigs"):
-        raise InputError(
-            f"{folder / 'set.json'}: expected a set of `hydro-env naming-benchmark make`, schema {SET_SCHEMA!r}"
-        )
-    return about
+    return _read(folder / "set.json", "a set of `hydro-env naming-benchmark make`", SET_SCHEMA, "rigs")
 
 
 def read_truth(folder: Path, rig: str) -> dict[str, Any]:
@@ -185,27 +178,22 @@ def read_truth(folder: Path, rig: str) -> dict[str, Any]:
     path, published = folder / "truth" / f"{rig}.json", read_set(folder).get("truth_sha256")
     if published is not None and path.exists() and _digest(path.parent) != published:
         raise InputError(f"{path.parent}: is not the truth whose digest {folder / 'set.json'} has")
-    truth = read_json(path, "the truth of a rig of the naming benchmark")
-    if not isinstance(truth, dict) or truth.get("schema") != TRUTH_SCHEMA:
-        raise InputError(f"{path}: schema: expected {TRUTH_SCHEMA!r}")
-    return truth
+    return _read(path, "the truth of a rig of the naming benchmark", TRUTH_SCHEMA, "effects")
+
+
+def _read(path: Path, what: str, schema: str, key: str) -> dict[str, Any]:
+    data: dict[str, Any] = read_json(path, what)
+    if not isinstance(data, dict) or data.get("schema") != schema or key not in data:
+        raise InputError(f"{path}: expected {what}, schema {schema!r}")
+    return data
 
 
 def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
     """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no finite number."""
-    from pyarrow import ArrowException, float64
-    from pyarrow.csv import ConvertOptions, read_csv
-
-    wanted = ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, float64()))
-    try:
-        found = read_csv(path, convert_options=wanted)
-    except (OSError, ArrowException) as problem:
-        raise InputError(
-            f"{path}: {problem}; expected numbers under the columns {', '.join(names)}"
-        ) from None
-    values = np.column_stack([found[name].to_numpy() for name in names])
-    if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
-        raise InputError(f"{path}: row {bad[0] + 2}: not a finite number")
+    found = read_table(path, lambda header: names)
+    values = np.column_stack([found.columns[name] for name in names])
+    if len(bad := np.flatnonzero(np.isnan(values).any(axis=1))):
+        raise InputError(f"{path}: row {found.row(bad[0])}: not a finite number")
     return values
 
 
