@@ -108,11 +108,11 @@ def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
     files = [controllers_in(str(spec)) if str(spec).endswith(".py") else [spec] for spec in controllers]
-    controllers = list(chain.from_iterable(files))
-    if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
-        return controllers
+    specs = list(chain.from_iterable(files))
+    if "all" not in specs:
+        return specs
     names = [entry.name for entry in CONTROLLERS.values() if not entry.apart]
-    return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
+    return names + [spec for spec in specs if spec not in ("all", *names)]
 
 
 def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str, Any]:
@@ -211,8 +211,9 @@ def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[st
             continue
         for metric in suite.metrics:
             sign = -1.0 if METRICS[metric].more else 1.0
-            costs = sign * cell.metrics[metric], sign * theirs[cell.place][metric]
-            chance = probability_of_improvement(*costs)
+            chance = probability_of_improvement(
+                sign * cell.metrics[metric], sign * theirs[cell.place][metric]
+            )
             rows.append({**cell.about, "metric": metric, "over": baseline, "probability": chance})
     return rows
 

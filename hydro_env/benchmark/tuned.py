@@ -19,8 +19,8 @@ from hydro_env.parallel import Failure
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model, preset_names
 
+#: Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with.
 SEED = 10_000
-"""Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with."""
 
 
 @dataclass(frozen=True)

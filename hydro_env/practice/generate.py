@@ -19,7 +19,6 @@ its own equations, so such a log shows that an effect can be found, not that it 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,22 +26,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, check_known
-from ..files import write_text
+from ..files import write_json, write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
-from .manoeuvres import ROUND, RUNS
+from .manoeuvres import ROUND, RUNS, Array
 from .played import plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
 
 __all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
-
-Array = NDArray[np.float64]
 
 SCHEMA = "hydro_env/truth/1"
 #: The log of commands from a file.
@@ -134,7 +130,7 @@ class Practice:
         for name, text in texts.items():
             write_text(out / name, text)
         self.given.to_yaml(out / "model.yaml")
-        write_text(out / "truth.json", json.dumps(truth, indent=1) + "\n")
+        write_json(out / "truth.json", truth)
 
 
 def make_practice(

@@ -175,9 +175,9 @@ def choose(
     """
     hidden = []
     for name, channel in effects.items():
-        explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         # Everything is drawn, so that an explicit value changes no other one.
-        chosen = {**_draw(_usual(given, name, channel), severity, duration, rng), **explicit}
+        chosen = _draw(_usual(given, name, channel), severity, duration, rng)
+        chosen |= {own: values[key] for own in chosen if (key := f"{name}.{own}") in values}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
@@ -191,23 +191,19 @@ def true_model(
     given: PlantModel, hidden: Sequence[Hidden], base_error: float, rng: np.random.Generator
 ) -> tuple[PlantModel, dict[str, Any]]:
     """The model that makes the logs, and what is wrong with the base parameters of the given one."""
-    changed: dict[str, tuple[float, float]] = {}
-    wrong: dict[str, Any] = {}
-    for name in UNCERTAIN:
-        factors = 1.0 + base_error * rng.uniform(-1.0, 1.0, 2)  # drawn always: a seed means the same rig
-        if base_error == 0.0:
-            continue
-        p = PARAMETERS[name]
-        old = given.pair(name)
-        new = tuple(min(max(v * f, min(p.low, v)), max(p.high, v)) for v, f in zip(old, factors, strict=True))
-        changed[name] = new
-        for c in (0, 1):
-            wrong[f"{name}_{c + 1}"] = {"nominal": old[c], "value": new[c], "unit": p.unit}
+    changed: dict[str, list[float]] = {}
+    for name in UNCERTAIN if base_error else ():
+        p, old = PARAMETERS[name], np.array(given.pair(name))
+        new = old * (1.0 + base_error * rng.uniform(-1.0, 1.0, 2))
+        changed[name] = np.clip(new, np.minimum(p.low, old), np.maximum(p.high, old)).tolist()
     if changed:
         # Static friction is never below sliding friction.
-        changed["Fs"] = tuple(max(s, c) for s, c in zip(changed["Fs"], changed["Fc"], strict=True))  # type: ignore[assignment]
-        for c in (0, 1):
-            wrong[f"Fs_{c + 1}"]["value"] = changed["Fs"][c]
+        changed["Fs"] = list(map(max, changed["Fs"], changed["Fc"]))
+    wrong = {
+        f"{name}_{c + 1}": {"nominal": given.value(name, c), "value": new[c], "unit": PARAMETERS[name].unit}
+        for name, new in changed.items()
+        for c in (0, 1)
+    }
     true = given.with_values(changed, name="rig")
     for h in hidden:
         for c, acts in enumerate(given.effects.get(h.name, ())):

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ Stream = np.random.Generator
 ROUND = 12.0
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """What one channel is asked to do: `value` is a set-point in rpm where `closed`, else a fraction of the rated command;
     `load` is in N m. Each (T,), one row for a control period."""
 
@@ -41,8 +40,7 @@ class Plan:
     @staticmethod
     def join(parts: Iterable[Plan]) -> Plan:
         """One after the other."""
-        rows = list(parts)
-        return Plan(*(np.concatenate([getattr(p, n) for p in rows]) for n in ("value", "closed", "load")))
+        return Plan(*map(np.concatenate, zip(*parts, strict=True)))
 
     def scaled(self, speed: float, torque: float) -> Plan:
         """The same with set-points and loads times as large."""
@@ -59,7 +57,7 @@ class Plan:
 
     def first(self, rows: int) -> Plan:
         """The beginning of it."""
-        return Plan(self.value[:rows], self.closed[:rows], self.load[:rows])
+        return Plan(*(each[:rows] for each in self))
 
 
 # --- profiles: arrays over a number of periods ---------------------------------------------------------------------------

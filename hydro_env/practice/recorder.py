@@ -21,11 +21,9 @@ from ..plant import Plant, PlantModel, Scales, scales_of
 from ..plant.scales import PAPER, rated, swing
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
-from .manoeuvres import Plan, plans
+from .manoeuvres import Array, Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
-
-Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.01  # s
 #: Time from standstill to the full command for which manoeuvres are long enough, s: about as long as they hold a step; and how

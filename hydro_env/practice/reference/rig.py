@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
@@ -15,9 +16,7 @@ from ...plant.model import PlantModel
 from ...plant.model_files import load_model
 from .equations import outputs
 from .forms import Constants, checked
-from .solver import STATES, Group
-
-Array = NDArray[np.float64]
+from .solver import STATES, Array, Group
 
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.
 FORMS = ("same", "different")
@@ -50,11 +49,7 @@ class ReferenceRig:
                 )
         self.constants = checked(constants)
         self._delays = self.model.pair("command_delay.delay")
-        self._rated = self.model.pair("u_rated")
-        self.reset()
-
-    def reset(self) -> None:
-        """Puts the rig to rest at time zero."""
+        self._rated = np.array(self.model.pair("u_rated"))
         coupled = any(self.model.pair("supply_droop.relative_drop"))
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
         self._groups = [Group(self.model, members, self.forms, self.constants) for members in sets]
@@ -64,10 +59,10 @@ class ReferenceRig:
 
     def signals(self) -> dict[str, Array]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
-        out = {name: np.empty((1, 2)) for name in REFERENCE_SIGNALS}
+        out = np.empty((len(REFERENCE_SIGNALS), 1, 2))
         for group in self._groups:
-            self._store(group, group.state[None, :], out, np.array([0]))
-        return {name: values[0] for name, values in out.items()}
+            self._store(group, group.state[None, :], out)
+        return dict(zip(REFERENCE_SIGNALS, out[:, 0], strict=True))
 
     def advance(
         self, command_V: ArrayLike, load_Nm: ArrayLike, duration: float, samples: int = 1
@@ -80,19 +75,19 @@ class ReferenceRig:
         command = np.broadcast_to(np.asarray(command_V, dtype=float), (2,))
         load = np.broadcast_to(np.asarray(load_Nm, dtype=float), (2,))
         start, end = self.time, self.time + duration
-        for c in (0, 1):
-            voltage = min(max(float(command[c]), -self._rated[c]), self._rated[c])
-            self._coming[c].append((start + self._delays[c], voltage))
+        voltages = np.clip(command, -self._rated, self._rated)
+        for coming, delay, voltage in zip(self._coming, self._delays, voltages, strict=True):
+            coming.append((start + delay, voltage))
         instants = np.linspace(start, end, samples + 1)[1:]
-        out = {name: np.empty((samples, 2)) for name in REFERENCE_SIGNALS}
+        out = np.empty((len(REFERENCE_SIGNALS), samples, 2))
         for group in self._groups:
             for p, c in zip(group.channels, group.members, strict=True):
                 p["load"] = load[c]
             self._run(group, start, end, instants, out)
         self.time = end
-        return out
+        return dict(zip(REFERENCE_SIGNALS, out, strict=True))
 
-    def _run(self, group: Group, start: float, end: float, instants: Array, out: dict[str, Array]) -> None:
+    def _run(self, group: Group, start: float, end: float, instants: Array, out: Array) -> None:
         now = start
         while now < end - _INSTANT:
             until = end
@@ -102,24 +97,23 @@ class ReferenceRig:
                     p["command"] = coming.pop(0)[1]
                 if coming and coming[0][0] < until - _INSTANT:
                     until = coming[0][0]
-            rows = np.flatnonzero((instants > now + _INSTANT) & (instants <= until + _INSTANT))
-            times = np.concatenate(([now], np.minimum(instants[rows], until)))
+            begin, stop = np.searchsorted(instants, (now + _INSTANT, until + _INSTANT), side="right")
+            times = np.array([now, *np.minimum(instants[begin:stop], until)])
             if times[-1] < until - _INSTANT:
                 times = np.append(times, until)
             states = group.integrate(times, self.method, self.tolerance)
-            self._store(group, states[1 : 1 + rows.size], out, rows)
+            self._store(group, states[1 : 1 + stop - begin], out[:, begin:stop])
             now = until
 
     @staticmethod
-    def _store(group: Group, states: Array, out: dict[str, Array], rows: NDArray[np.intp]) -> None:
+    def _store(group: Group, states: Array, out: Array) -> None:
+        """Writes the signals of a group's channels, an instant for each of the `states`, to `out` (signals, instants, 2)."""
         states = np.ascontiguousarray(states)
-        seen = np.empty((4, len(rows), len(group.members)))
+        seen = np.empty((4, len(states), len(group.members)))
         outputs(states, group.channels, *seen)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])
-            every = *states[:, at : at + len(STATES)].T, *seen[:, :, j]
-            for name, values in zip(REFERENCE_SIGNALS, every, strict=True):
-                out[name][rows, c] = values
+            out[:, :, c] = *states[:, at : at + len(STATES)].T, *seen[:, :, j]
 
 
 def simulate_reference(
@@ -138,16 +132,10 @@ def simulate_reference(
     if not (np.isfinite(command).all() and np.isfinite(load).all()):
         raise ValueError("a command or load is not finite")
     rig = ReferenceRig(model, **options)
-    length = command.shape[0]
-    out = {name: np.empty((length, 2)) for name in REFERENCE_SIGNALS}
-    for name, value in rig.signals().items():
-        out[name][:1] = value
+    parts = [rig.signals()]
     changes = 1 + np.flatnonzero(np.diff(np.hstack([command, load]), axis=0).any(axis=1))
-    starts = np.concatenate(([0], changes))
-    ends = np.concatenate((changes, [length - 1]))  # the last row's command acts only after the log
-    for first, last in zip(starts, ends, strict=True):
+    # The last row's command acts only after the log.
+    for first, last in pairwise([0, *changes.tolist(), len(command) - 1]):
         if last > first:
-            part = rig.advance(command[first], load[first], (last - first) * period, int(last - first))
-            for name, values in part.items():
-                out[name][first + 1 : last + 1] = values
-    return out
+            parts.append(rig.advance(command[first], load[first], (last - first) * period, last - first))
+    return {name: np.vstack([part[name] for part in parts])[: len(command)] for name in REFERENCE_SIGNALS}
