@@ -109,7 +109,10 @@ def write_program(folder: Path, kind: str, spec: str, program: Program, texts: d
     """Writes the files of a program, by name, and export.json."""
     for name, text in texts.items():
         write_text(folder / name, text)
-    about = {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+    about = {
+        "control_period_s": program.period,
+        "state_numbers": sum(size for _, size in program.state.values()),
+    }
     _note(folder, kind, spec, [*texts], about)
 
 

@@ -52,18 +52,10 @@ _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
 
 @dataclass
-class StateArray:
-    """An array that is kept between samples."""
-
-    name: str
-    kind: str
-    size: int
-
-
-@dataclass
 class Program:
     """What a controller does with a sample: at the first one, and at all others.
 
+    `state`: the arrays that are kept between samples, by name with their kind and size.
     `first` and `next` map (array, index) of the state, and ("command", 0 or 1), to expressions of the measurements
     ("measured", n), of the `gains` that are inputs (`GAIN` and the name, n), and of the state before. Elements of the state that
     are not in `next` keep their value. `names`: what the controller's own variables are called, and which element of them it is.
@@ -73,7 +65,7 @@ class Program:
     period: float
     gains: list[tuple[Gain, list[float]]] = field(default_factory=list)
     names: dict[Expr, tuple[str, int]] = field(default_factory=dict)
-    state: list[StateArray] = field(default_factory=list)
+    state: dict[str, tuple[str, int]] = field(default_factory=dict)
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
     next: dict[tuple[str, int], Expr] = field(default_factory=dict)
 
@@ -380,10 +372,9 @@ def _fill(
         found = _leaves_of(after[by_name[key]] for key in needed) & by_name.keys()
     for path, name in names.items():
         mine = [n for (own, n) in needed if own == name]
-        if not mine or any(each.name == name for each in program.state):
+        if not mine or name in program.state:
             continue
-        size = max(n for p, n in kept if p == path) + 1
-        program.state.append(StateArray(name, kept[path, mine[0]].kind, size))
+        program.state[name] = kept[path, mine[0]].kind, max(n for p, n in kept if p == path) + 1
         for n in sorted(mine):
             program.first[name, n] = kept[path, n]
             if not (after[path, n].op == "leaf" and after[path, n].value == (name, n)):

@@ -157,13 +157,11 @@ def _variable(parent: xml.Element, each: Variable, version: int) -> None:
 def _structure(parent: xml.Element, every: list[Variable], version: int) -> None:
     """What outputs depend on: at an instant on no input, as everything passes a coil or a shaft first."""
     outputs = [(n, each) for n, each in enumerate(every, start=1) if each.causality == "output"]
-    if version == 2:
-        direct, initial = xml.SubElement(parent, "Outputs"), xml.SubElement(parent, "InitialUnknowns")
-        for n, _ in outputs:
-            xml.SubElement(direct, "Unknown", index=str(n), dependencies="")
-            xml.SubElement(initial, "Unknown", index=str(n))
-        return
-    for _, each in outputs:
-        xml.SubElement(parent, "Output", valueReference=str(each.reference), dependencies="")
-    for _, each in outputs:
-        xml.SubElement(parent, "InitialUnknown", valueReference=str(each.reference))
+    for tag, more in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
+        if version == 2:
+            listed = xml.SubElement(parent, f"{tag}s")
+            for n, _ in outputs:
+                xml.SubElement(listed, "Unknown", {"index": str(n), **more})
+        else:
+            for _, each in outputs:
+                xml.SubElement(parent, tag, {"valueReference": str(each.reference), **more})

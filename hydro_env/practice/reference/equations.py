@@ -1,8 +1,9 @@
 """Equations of the rig, one by one, in both forms of every effect: coil and spool, valve flow, line, motor and load, sensor.
 
 `p` is the record of a channel: base parameters by symbol, those of effects as EFFECT__PARAMETER, constants of form as
-form_NAME, `different` for the form, `lines_supply`, the supply pressure of the effects on single lines, and `at_...`, the
-places of its states in `y` (-1: it has none). Numbers in brackets are equations of the paper.
+form_NAME (those of `forms.SAME` are neutral in the same form), `different` for the form, `lines_supply`, the supply pressure of
+the effects on single lines, and `at_...`, the places of its states in `y` (-1: it has none). Numbers in brackets are equations of
+the paper.
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ _SUPPLY_FLOW = 2.0 * 476106e-6 * 20.0 * 73.0 / (100.0 * 17000.0)  # m3/s; rated 
 @compiled
 def _limited(value, limit, knee):
     """A limit, hard where `knee` is 0, else the p-norm with this exponent."""
-    if limit == np.inf:
-        return value
     if knee > 0.0:
         return value / (1.0 + (abs(value) / limit) ** knee) ** (1.0 / knee)
     return min(max(value, -limit), limit)
@@ -61,9 +60,7 @@ def _lag_rates(p, y, dy, at, target, memory, share):
 def _edges(p, x):
     """Openings of the edges of both directions of a valve with underlap, m."""
     first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
-    if p.different:
-        return _rounded(first, p.form_clearance), _rounded(second, p.form_clearance)
-    return max(first, 0.0), max(second, 0.0)
+    return _rounded(first, p.form_clearance), _rounded(second, p.form_clearance)
 
 
 @compiled
@@ -87,21 +84,13 @@ def _opening(p, spool):
     x = spool + p.null_offset__offset
     high, low = p.dead_zone__overlap_positive, p.dead_zone__overlap_negative
     if high != 0.0 or low != 0.0:
-        if p.different:
-            clearance = p.form_clearance
-            above, below = x - high, x + low
-            x = 0.5 * (above + math.sqrt(above * above + clearance**2))
-            x += 0.5 * (below - math.sqrt(below * below + clearance**2))
-        elif x > high:
-            x -= high
-        elif x < -low:
-            x += low
-        else:
-            x = 0.0
+        above, below = x - high, x + low
+        x = 0.5 * (above + math.sqrt(above * above + p.form_clearance**2))
+        x += 0.5 * (below - math.sqrt(below * below + p.form_clearance**2))
     if p.underlap__underlap_positive != 0.0 or p.underlap__underlap_negative != 0.0:
         first, second = _edges(p, x)
         x = first - second
-    x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee if p.different else 0.0)
+    x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee)
     ratio = p.directional_gain__ratio
     if ratio != 1.0:
         if p.different:
@@ -111,7 +100,7 @@ def _opening(p, spool):
     curvature = p.flow_gain_nonlinearity__curvature
     if curvature != 0.0:
         share = min(abs(x) * p.R * p.k / (p.alpha * p.u_rated), 1.0)
-        x *= 1.0 - curvature + curvature * (share**p.form_notch_power if p.different else share)
+        x *= 1.0 - curvature + curvature * share**p.form_notch_power
     return x
 
 
@@ -275,8 +264,7 @@ def _spool_rates(p, y, dy, pressure):
     """Coil (6), spool (5) and all that acts on them."""
     at = p.at_states
     i, x, v = y[at], y[at + 1], y[at + 2]
-    knee = p.form_driver_knee if p.different else 0.0
-    voltage = _limited(_played(p, y, dy), p.driver_saturation__voltage_limit, knee)
+    voltage = _limited(_played(p, y, dy), p.driver_saturation__voltage_limit, p.form_driver_knee)
     resistance = p.R
     if p.at_heat >= 0:
         heat = y[p.at_heat]
@@ -308,9 +296,8 @@ def _spool_rates(p, y, dy, pressure):
     beyond = abs(x) - min(p.x_max, p.spool_stop__travel)
     if beyond > 0.0:
         side = 1.0 if x > 0.0 else -1.0
-        yields = 1.0
-        if p.different and p.spool_stop__travel < p.x_max:
-            yields = (beyond / p.form_stop_depth) ** (p.form_stop_power - 1.0)
+        nearer = p.spool_stop__travel < p.x_max
+        yields = (beyond / p.form_stop_depth) ** (p.form_stop_power - 1.0) if nearer else 1.0
         # Hunt and Crossley: pushes, never pulls
         stop = -side * max(p.k_stop * beyond * yields * (1.0 + v * side / p.v_stop), 0.0)
     friction = _spool_friction(p, y, dy)
@@ -336,8 +323,7 @@ def _shaft_torque(p, y, dy, speed, angle, load):
             torque -= stiffness * z + damping * z_rate
         else:
             torque -= level * math.tanh(10.0 * speed)
-    rate = math.hypot(speed, p.form_drag_transition) if p.different else abs(speed)
-    torque -= p.quadratic_drag__coefficient * speed * rate
+    torque -= p.quadratic_drag__coefficient * speed * math.hypot(speed, p.form_drag_transition)
     torque -= p.eccentric_load__amplitude * math.sin(angle + p.eccentric_load__phase)
     if p.at_twist >= 0:
         twist, outer = y[p.at_twist], y[p.at_twist + 1]
@@ -453,17 +439,14 @@ def _displacement(p, angle):
         return p.D
     turn = p.displacement_ripple__order * angle
     wave = math.cos(turn)
-    if p.different:
-        wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
+    wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
     return p.D * (1.0 + ripple * wave)
 
 
 @compiled
 def _at_motor(p, pressure, motor_flow):
     """Load pressure at the ports of the motor, Pa."""
-    lost = p.line_loss__coefficient * motor_flow
-    lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
-    return pressure - lost
+    return pressure - p.line_loss__coefficient * motor_flow * math.hypot(motor_flow, p.form_line_transition)
 
 
 @compiled
@@ -474,8 +457,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     change = p.viscosity_drift__change
     if change != 0.0:
         warm = 1.0 - math.exp(-time / p.viscosity_drift__time_constant)
-        if p.different:
-            warm += p.form_drift_bend * warm * (1.0 - warm)
+        warm += p.form_drift_bend * warm * (1.0 - warm)
         change *= warm
     softness = 1.0 / p.beta
     air = p.entrained_air__fraction
@@ -516,12 +498,6 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
 
 
 @compiled
-def _measured(p, y):
-    """What the speed sensor shows, rad/s, without noise."""
-    return _lagged(p, y, p.at_lag, y[p.at_states + 5]) * p.sensor_gain__gain + p.sensor_offset__offset
-
-
-@compiled
 def rates(time, y, channels):
     """Right-hand side of one or of both channels: `channels` is an array of parameter records."""
     dy = np.zeros(y.size)
@@ -554,14 +530,15 @@ def _mean_line_pressure(p, droop, mean):
 
 @compiled
 def outputs(y, channels, flow, shown, lines, at_motor):
-    """Flow, measured speed, mean line pressure and motor pressure of every row of states: y (T, states) -> (T, channels) each."""
+    """Flow, measured speed (without noise), mean line pressure and motor pressure of every row of states: y (T, states) -> (T,
+    channels) each."""
     for t in range(y.shape[0]):
         for c in range(channels.shape[0]):
             p = channels[c]
             droop = _lagged(p, y[t], p.at_droop, 0.0)
             mean = y[t, p.at_mean] if p.at_mean >= 0 else 0.0
-            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
-            shown[t, c] = _measured(p, y[t])
-            lines[t, c] = _mean_line_pressure(p, droop, mean)
             pressure, speed, angle = y[t, p.at_states + 4], y[t, p.at_states + 5], y[t, p.at_states + 6]
+            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], pressure, droop, mean)
+            shown[t, c] = _lagged(p, y[t], p.at_lag, speed) * p.sensor_gain__gain + p.sensor_offset__offset
+            lines[t, c] = _mean_line_pressure(p, droop, mean)
             at_motor[t, c] = _at_motor(p, pressure, _displacement(p, angle) * speed)

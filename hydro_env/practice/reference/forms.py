@@ -87,6 +87,11 @@ def scaled(constants: Constants, scales: Scales) -> dict[str, float | tuple[floa
     return {n: v if isinstance(v, tuple) else scales.factor(UNITS[n]) * v for n, v in constants.items()}
 
 
+#: Constants at which an equation of the different forms is the catalogue's.
+SAME: Constants = {
+    **dict.fromkeys(("clearance", "driver_knee", "saturation_knee", "drag_transition", "line_transition"), 0.0),
+    **dict.fromkeys(("ripple_second", "drift_bend"), 0.0), **dict.fromkeys(("notch_power", "stop_power"), 1.0),
+}  # fmt: skip
 _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
 #: The median of every constant, stops evenly spread.
 MIDDLE: Constants = {

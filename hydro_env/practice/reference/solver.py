@@ -13,7 +13,7 @@ from ...plant.catalogue.losses import FAMILY
 from ...plant.model import PlantModel
 from ...plant.parameters import PARAMETERS
 from .equations import rates
-from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, STOPS, Constants
+from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, SAME, STOPS, Constants
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Group:
         for p, c in zip(self.channels, members, strict=True):
             for name in _PARAMETERS:
                 p[name.replace(".", "__")] = model.value(name, c)
-            for name, constant in constants.items():
+            for name, constant in (constants if different else {**constants, **SAME}).items():
                 p[f"form_{name}"] = constant
             p["different"] = different
             p["lossy"] = any(
