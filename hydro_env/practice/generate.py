@@ -20,12 +20,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from ..errors import InputError, check_known
 from ..files import write_json, write_text
@@ -135,13 +136,13 @@ class Practice:
 
 def make_practice(
     effects: Iterable[str] | Mapping[str, str] = (), *, model: str | Path | PlantModel = "paper",
-    progress: Callable[[str], None] | None = None, **settings: Any,
+    progress: bool = False, **settings: Any,
 ) -> Practice:  # fmt: skip
     """Makes practice logs of a rig with hidden effects.
 
     effects   "NAME" or "NAME:CHANNEL" (channel 1, 2 or both), or {name: channel}; none: nothing is hidden
     model     the model an engineer has: preset, YAML file or model
-    progress  called with the name of each log as it is begun
+    progress  whether to show a bar
     settings  fields of `PracticeSettings`
 
     InputError in one line for anything unknown or out of range.
@@ -160,14 +161,12 @@ def make_practice(
     constants = drawn if forms == "different" else None
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
     recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, duration)
-    logs = {}
     if own.play is not None:
-        logs[PLAYED] = _played(own, given, recorder)
-    for name, seeds in zip(RUNS, run_seeds, strict=True):
-        if name in own.runs and own.play is None:
-            if progress is not None:
-                progress(name)
-            logs[name] = recorder.log(name, seeds)
+        logs = {PLAYED: _played(own, given, recorder)}
+    else:
+        chosen_runs = [(name, seeds) for name, seeds in zip(RUNS, run_seeds, strict=True) if name in own.runs]
+        bar = tqdm(chosen_runs, unit="log", leave=False, delay=0.5, disable=not progress)
+        logs = {name: recorder.log(name, seeds) for name, seeds in bar}
     truth = {
         "schema": SCHEMA,
         "verdict": "effects" if hidden else ("calibration" if wrong else "none"),

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, check_known
+from ..limits import Limits
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
 
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
@@ -101,10 +102,8 @@ def check_values(values: Mapping[str, float], effects: Mapping[str, str], given:
         known = {p.name: p for p in _usual(given, name, effects[name]).parameters}
         check_known(f"{key}: effect {name!r} has no parameter", [own], known)
         p = known[own]
-        if value != p.nominal and not p.low <= value <= p.high:
-            raise InputError(
-                f"{key}: {value:g} {p.unit} is out of range; expected {p.low:g} to {p.high:g} {p.unit}"
-            )
+        if value != p.nominal:
+            Limits(p.low, p.high, unit=p.unit).check(value, key)
 
 
 # --- drawing ----------------------------------------------------------------------------------------------------------
