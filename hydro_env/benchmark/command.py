@@ -121,9 +121,8 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
     baseline = BASELINE if BASELINE in names else names[0]
     ends, scored = score_ends(cells), [cell for cell in cells if cell.metrics]
     rows = [(cell, metric, cell.summaries[metric]) for cell in scored for metric in suite.metrics]
-    for cell in scored:
-        if cell.place in ends:
-            rows.append((cell, SCORE.name, normalised(cell.summaries[RETURN], ends[cell.place])))
+    for cell in (cell for cell in scored if cell.place in ends):
+        rows.append((cell, SCORE.name, normalised(cell.summaries[RETURN], ends[cell.place])))
     plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
     drawn = {split: _drawn_over(plant, split) for split in suite.splits if split != OWN}

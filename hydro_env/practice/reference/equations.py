@@ -118,12 +118,9 @@ def _valve_flow(p, spool, pressure, droop, mean):
     """
     x = _opening(p, spool)
     drive = _drive(p, x, pressure, droop)
-    plain = p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0
     if p.at_mean >= 0:
         passed = 0.5 * (_edge_root(p, drive - mean) + _edge_root(p, drive + mean))
         flow = p.Kq * x * (passed if p.different else max(passed, 0.0))
-    elif plain:
-        flow = p.Kq * x
     else:
         flow = p.Kq * x * _root(p, drive)
     width = p.underlap__underlap_positive + p.underlap__underlap_negative
@@ -138,32 +135,22 @@ def _valve_flow(p, spool, pressure, droop, mean):
 
 
 @compiled
-def _leak(p, line):
-    """Pressure that drives a leak out of a line, Pa; its conductance is that at half the supply pressure."""
+def _outflow(p, line, leak):
+    """Flow from a line with this leak to the tank, m3/s, less what it draws from there through its check valve.
+
+    The conductance of a leak is that at half the supply pressure, that of the check valve at 1 bar.
+    """
     driving = max(line, 0.0)
+    below = max(p.anti_cavitation__opening_pressure - line, 0.0)
     if p.different:
         half = 0.5 * p.lines_supply
         driving = half * (driving / half) ** p.form_leak_power
-    return driving
-
-
-@compiled
-def _make_up(p, line):
-    """Pressure that drives oil through a check valve into a line, Pa; its conductance is that at 1 bar."""
-    below = max(p.anti_cavitation__opening_pressure - line, 0.0)
-    if p.different:
         # The poppet lifts over its spring, then the valve is an orifice.
         lift = p.form_check_lift
         below = below**2 / (2.0 * lift) if below < lift else below - 0.5 * lift
         below = 1e5 * (below / 1e5) ** p.form_check_power
-    return below
-
-
-@compiled
-def _outflow(p, line, leak):
-    """Flow from a line with this leak to the tank, m3/s, less what it draws from there."""
-    drained = (max(leak, 0.0) + p.case_drain__conductance) * _leak(p, line)
-    return drained - p.anti_cavitation__conductance * _make_up(p, line)
+    drained = (max(leak, 0.0) + p.case_drain__conductance) * driving
+    return drained - p.anti_cavitation__conductance * below
 
 
 @compiled
@@ -310,8 +297,7 @@ def _shaft_torque(p, y, dy, speed, angle, load):
     torque = -load - p.load_bias__bias
     coulomb, static = p.motor_coulomb_friction__coulomb, p.motor_coulomb_friction__static
     if coulomb != 0.0 or static != 0.0:
-        power = p.form_shaft_stribeck if p.different else 2.0
-        peak = math.exp(-(abs(speed / p.motor_coulomb_friction__stribeck_speed) ** power))
+        peak = math.exp(-(abs(speed / p.motor_coulomb_friction__stribeck_speed) ** p.form_shaft_stribeck))
         level = coulomb + (static - coulomb) * peak
         if p.different:
             stiffness = max(coulomb, static) / p.form_shaft_travel
@@ -482,8 +468,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
         passed = p.line_volume__conductance * drop
         dy[p.at_side] = p.beta * passed / p.line_volume__volume
         leakage += passed
-    if p.lossy:
-        leakage += _loss_flow(p, pressure, speed)
+    leakage += _loss_flow(p, pressure, speed)
     motor_flow = displacement * speed
     dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
     if p.at_mean >= 0:
@@ -491,8 +476,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
 
     at_motor = _at_motor(p, pressure, motor_flow)
     torque = displacement * at_motor - p.B * math.exp(change) * speed
-    if p.lossy:
-        torque -= _loss_torque(p, at_motor, speed)
+    torque -= _loss_torque(p, at_motor, speed)
     dy[at + 5] = (torque + _shaft_torque(p, y, dy, speed, angle, load)) / p.J
     dy[at + 6] = speed
 
@@ -521,14 +505,6 @@ def rates(time, y, channels):
 
 
 @compiled
-def _mean_line_pressure(p, droop, mean):
-    """Half the sum of both line pressures above the tank's, Pa; of a model without a supply pressure what differs from it."""
-    supply = p.pressure_dependent_flow__supply_pressure
-    level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
-    return level + 0.5 * p.lines_supply * mean
-
-
-@compiled
 def outputs(y, channels, flow, shown, lines, at_motor):
     """Flow, measured speed (without noise), mean line pressure and motor pressure of every row of states: y (T, states) -> (T,
     channels) each."""
@@ -540,5 +516,8 @@ def outputs(y, channels, flow, shown, lines, at_motor):
             pressure, speed, angle = y[t, p.at_states + 4], y[t, p.at_states + 5], y[t, p.at_states + 6]
             flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], pressure, droop, mean)
             shown[t, c] = _lagged(p, y[t], p.at_lag, speed) * p.sensor_gain__gain + p.sensor_offset__offset
-            lines[t, c] = _mean_line_pressure(p, droop, mean)
+            # Half the sum of both above the tank's; of a model without a supply pressure what differs from it.
+            supply = p.pressure_dependent_flow__supply_pressure
+            level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
+            lines[t, c] = level + 0.5 * p.lines_supply * mean
             at_motor[t, c] = _at_motor(p, pressure, _displacement(p, angle) * speed)

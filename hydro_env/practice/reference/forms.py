@@ -91,6 +91,7 @@ def scaled(constants: Constants, scales: Scales) -> dict[str, float | tuple[floa
 SAME: Constants = {
     **dict.fromkeys(("clearance", "driver_knee", "saturation_knee", "drag_transition", "line_transition"), 0.0),
     **dict.fromkeys(("ripple_second", "drift_bend"), 0.0), **dict.fromkeys(("notch_power", "stop_power"), 1.0),
+    "shaft_stribeck": 2.0,
 }  # fmt: skip
 _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
 #: The median of every constant, stops evenly spread.

@@ -13,7 +13,6 @@ from scipy.integrate import odeint, solve_ivp
 
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
-from ...plant.catalogue.losses import FAMILY
 from ...plant.model import PlantModel
 from ...plant.model_files import load_model
 from ...plant.parameters import PARAMETERS
@@ -56,9 +55,8 @@ def _fields() -> list[tuple[Any, ...]]:
     numbers += [*(f"form_{c.name}" for c in CONSTANTS), "lines_supply", "command", "load"]
     stops = [(f"form_{name}", np.float64, (STOPS,)) for name in ("stop_travels", "stop_shares")]
     places = [f"at_{name}" for name in ("states", *_MEMORIES, "droop")]
-    return [
-        *((name, np.float64) for name in numbers), *stops, *((name, np.int64) for name in (*places, "different", "lossy"))
-    ]  # fmt: skip
+    places.append("different")
+    return [*((name, np.float64) for name in numbers), *stops, *((name, np.int64) for name in places)]
 
 
 class Group:
@@ -81,10 +79,6 @@ class Group:
             for name, constant in (constants if different else {**constants, **SAME}).items():
                 p[f"form_{name}"] = constant
             p["different"] = different
-            p["lossy"] = any(
-                CATALOGUE[name].family == FAMILY and not CATALOGUE[name].is_neutral(pair[c])
-                for name, pair in model.effects.items()
-            )
             for name in [name for name in OF_BOTH_LINES if p[f"{name}__conductance"] != 0.0][:1]:
                 p["lines_supply"] = p[f"{name}__supply_pressure"]
             p["at_states"] = place(_SCALES)
