@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -152,7 +152,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "idle": _told(cells, "idle", "idle"),
         "decision_us": {name: _decision_us(own) for name, own in cells_by_name.items()},
         "notes": _told(cells, "note", "note"),
-        "improvement": _improvement(cells, suite, baseline),
+        "improvement": list(_improvement(cells, suite, baseline)),
         "overall": [
             {"controller": name, "metric": metric, **s.row}
             for name, own in cells_by_name.items()
@@ -201,10 +201,9 @@ def _unscored(cells: list[Cell], ends: Mapping[tuple[str, str], Any]) -> str:
     return f" No {SCORE.title} in {', '.join(places)}, {why}." if places else ""
 
 
-def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[str, Any]]:
+def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> Iterator[dict[str, Any]]:
     """How probably each cell's controller does better than the baseline on the same case."""
     theirs = {cell.place: cell.metrics for cell in cells if cell.name == baseline}
-    rows: list[dict[str, Any]] = []
     for cell in cells:
         if cell.name == baseline or not cell.metrics or not theirs[cell.place]:
             continue
@@ -213,8 +212,7 @@ def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[st
             chance = probability_of_improvement(
                 sign * cell.metrics[metric], sign * theirs[cell.place][metric]
             )
-            rows.append({**cell.about, "metric": metric, "over": baseline, "probability": chance})
-    return rows
+            yield {**cell.about, "metric": metric, "over": baseline, "probability": chance}
 
 
 def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:

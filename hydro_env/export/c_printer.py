@@ -10,7 +10,7 @@ import math
 import re
 import textwrap
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -136,14 +136,13 @@ def _statement(each: Statement) -> list[str]:
             return [f"{word};"]
 
 
-def variables(declared: dict[str, tuple[str, int]]) -> list[str]:
+def variables(declared: dict[str, tuple[str, int]]) -> Iterator[str]:
     """The declarations of variables, by name with their kind and, for arrays, their size."""
-    lines = []
     for type_ in dict.fromkeys(TYPES.values()):
         mine = {name: size for name, (kind, size) in declared.items() if TYPES[kind] == type_}
         own = [f"{name}[{size}]" if size else name for name, size in mine.items()]
-        lines += textwrap.wrap(f"{type_} {', '.join(own)};", 120) if own else []
-    return lines
+        if own:
+            yield from textwrap.wrap(f"{type_} {', '.join(own)};", 120)
 
 
 def _function(made: Function) -> str:
@@ -166,17 +165,13 @@ def listed(numbers: Iterable[str]) -> str:
     return "\n    ".join(textwrap.wrap(", ".join(numbers), 120, break_long_words=False))
 
 
-def _words(texts: Iterable[str]) -> list[str]:
-    return re.findall(r"\w+", "\n".join(texts))
-
-
 def source(reader: Reader, *users: str) -> str:
     """`users`, text in C, below the tables and functions that they need, callees first."""
     tables, functions = map(_table, reader.tables.values()), map(_function, reader.functions.values())
-    parts, words = list(users), set(_words(users))
+    parts, words = list(users), set(re.findall(r"\w+", "\n".join(users)))
     for text in reversed([*_HELPERS, *tables, *functions]):
         name = re.search(r"\w+(?=[\[(])", text)
         if name is not None and name[0] in words:
             parts.insert(0, text)
-            words.update(_words([text]))
+            words.update(re.findall(r"\w+", text))
     return "\n".join(["#include <math.h>\n", *parts])

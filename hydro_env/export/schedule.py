@@ -241,18 +241,14 @@ class Schedule:
             for n, run in self._runs(row):
                 x, place = run[0], const(start + n, "int")
                 if len(run) > 1:
-                    value = _at(self._safe(run), _I)
+                    in_state = x.op == "leaf" and x.value[0] != "measured"  # which is stored to
+                    value = _at(self._copied(run) if in_state else self._gathered(run), _I)
                     stores.append(self._loop(len(run), [Store(array, add(_I, place), value)]))
                 elif x.op in ("const", "item") or x in self._names:
                     stores.append(Store(array, place, self._lowered(x)))
                 else:
                     stores.append(Store(array, place, self._variable(x)))
         return stores
-
-    def _safe(self, run: list[Expr]) -> Arr:
-        """Where expressions lie, which is not in the state that is stored to."""
-        in_state = run[0].op == "leaf" and run[0].value[0] != "measured"
-        return self._copied(run) if in_state else self._gathered(run)
 
 
 def _uses(roots: Iterable[Expr]) -> Counter[Any]:

@@ -27,14 +27,11 @@ from .tracing import GAIN, MEASURED, Program, divisors
 
 _TYPES = {"bool": "BOOL", "int": "DINT", "float": "REAL", "double": "LREAL"}
 _BINARY = IN_C | {"eq": "=", "ne": "<>", "and": "AND", "or": "OR"}
-_CALLED = {
-    "abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS", "max": "MAX", "min": "MIN",
-}  # fmt: skip
 #: How operations are written, as `filled` takes it; tanh as 1 - 2 / (exp(2 x) + 1), which saturates without a division of
 #: infinities.
 _FORMS = {
     **{op: f"({{0}} {sign} {{1}})" for op, sign in _BINARY.items()},
-    **{op: f"{called}({{inside}})" for op, called in _CALLED.items()},
+    **{op: f"{op.upper()}({{inside}})" for op in ("abs", "sqrt", "exp", "sin", "cos", "max", "min")}, "log": "LN({inside})",
     "load": "{value}[{inside}]", "neg": "(-{0})", "not": "(NOT {0})", "where": "SEL({bare[0]}, {bare[2]}, {bare[1]})",
     "cast": "{given}_TO_{wanted}({inside})", "expm1": "(EXP({inside}) - {one})",
     "tanh": "({one} - {two} / (EXP({two} * MIN(MAX({inside}, {least}), {most})) + {one}))",

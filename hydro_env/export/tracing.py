@@ -129,7 +129,6 @@ class _Recorder:
             after = call.after[place] = Items(call, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
             array.view(np.ndarray)[...] = made.view(np.ndarray)
-        return None
 
 
 def _parts(value: Any) -> Iterator[Symbols | MaskedRows]:
@@ -158,10 +157,10 @@ def _copies(own: set[str]) -> Copies:
 
 
 # --- the state ---------------------------------------------------------------------------------------------------------
-def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> None:
-    """All arrays of expressions, and all plain values, below an object, by their path."""
+def _leaves(value: Any, path: str, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    """All arrays of expressions, and all plain values, below an object, with their path."""
     if isinstance(value, np.ndarray | np.generic | str | int | float | bool | type(None)):
-        found[path] = value
+        yield path, value
         return
     if id(value) in seen or isinstance(value, type) or (callable(value) and not hasattr(value, "__dict__")):
         return
@@ -172,13 +171,12 @@ def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> Non
     elif isinstance(value, list | tuple):
         inner = zip(getattr(value, "_fields", range(len(value))), value, strict=True)
     for key, each in inner:
-        _leaves(each, f"{path}.{key}", found, seen)
+        yield from _leaves(each, f"{path}.{key}", seen)
 
 
 def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
     """The arrays of expressions of a controller by path, and its plain values."""
-    found: dict[str, Any] = {}
-    _leaves(controller, "", found, set())
+    found = dict(_leaves(controller, "", set()))
     arrays = {path: each for path, each in found.items() if isinstance(each, Symbols)}
     plain = {path: each for path, each in found.items() if not isinstance(each, Symbols | np.ndarray)}
     return arrays, plain

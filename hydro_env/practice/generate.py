@@ -107,31 +107,25 @@ class PracticeSettings:
 @dataclass(frozen=True)
 class Practice:
     """Practice logs. `logs` maps "fit_1", "fit_2", "sealed" to columns by header name; `given` is the model an engineer
-    has, `true` the one that made the logs with these `constants` of form (None: the catalogue's forms); `hidden` and `truth`
-    (the content of truth.json) say what the difference is.
+    has, `true` the one that made the logs; `hidden` and `truth` (the content of truth.json) say what the difference is.
     """
 
     logs: Mapping[str, Mapping[str, Array]]
     given: PlantModel
     true: PlantModel
-    constants: Constants | None
     hidden: tuple[Hidden, ...]
     truth: Mapping[str, Any]
 
     def write(self, out: Path) -> None:
         """Writes the logs, model.yaml and truth.json into the folder `out`, which is made if need be."""
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{out}: cannot make this folder: {error.strerror}") from None
+        out.mkdir(parents=True, exist_ok=True)
         kinds = columns_of(scales_of(self.given))
         texts = {f"{name}.csv": log_text(columns, kinds) for name, columns in self.logs.items()}
         sums = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        truth = {**self.truth, "log_sha256": sums}
         for name, text in texts.items():
             write_text(out / name, text)
         self.given.to_yaml(out / "model.yaml")
-        write_json(out / "truth.json", truth)
+        write_json(out / "truth.json", {**self.truth, "log_sha256": sums})
 
 
 def make_practice(
@@ -187,7 +181,7 @@ def make_practice(
             for kind in (("fit", "sealed") if own.play is None else (PLAYED,))
         },
     }
-    return Practice(logs, given, true, constants, hidden, truth)
+    return Practice(logs, given, true, hidden, truth)
 
 
 def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Array]:

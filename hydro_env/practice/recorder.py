@@ -221,10 +221,9 @@ class Recorder:
         period = self.period
         samples = round(period * self.rate)
         steps = len(channels[0].value)
-        closed = np.column_stack([p.closed for p in channels])
-        value = np.column_stack([p.value for p in channels])
+        value, closed, load = (np.column_stack(each) for each in zip(*channels, strict=True))
         of = columns_of(scales_of(self.given))
-        load: Array = np.column_stack([p.load for p in channels]).round(of["load"].decimals)
+        load = load.round(of["load"].decimals)
         if "load" not in self.record:  # a load that nobody logs would be a second hidden effect
             load = np.zeros_like(load)
         # Every signal has a stream of its own: recording more of them changes none.

@@ -57,13 +57,6 @@ def _lag_rates(p, y, dy, at, target, memory, share):
 
 
 @compiled
-def _edges(p, x):
-    """Openings of the edges of both directions of a valve with underlap, m."""
-    first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
-    return _rounded(first, p.form_clearance), _rounded(second, p.form_clearance)
-
-
-@compiled
 def _root(p, drive):
     """Flow of an edge over that at the supply's whole pressure: the root, laminar about zero in the different form."""
     if p.different:
@@ -88,8 +81,9 @@ def _opening(p, spool):
         x = 0.5 * (above + math.sqrt(above * above + p.form_clearance**2))
         x += 0.5 * (below - math.sqrt(below * below + p.form_clearance**2))
     if p.underlap__underlap_positive != 0.0 or p.underlap__underlap_negative != 0.0:
-        first, second = _edges(p, x)
-        x = first - second
+        # What the edges of both directions are open.
+        first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
+        x = _rounded(first, p.form_clearance) - _rounded(second, p.form_clearance)
     x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee)
     ratio = p.directional_gain__ratio
     if ratio != 1.0:
@@ -151,24 +145,6 @@ def _outflow(p, line, leak):
         below = 1e5 * (below / 1e5) ** p.form_check_power
     drained = (max(leak, 0.0) + p.case_drain__conductance) * driving
     return drained - p.anti_cavitation__conductance * below
-
-
-@compiled
-def _outflows(p, pressure, mean):
-    """The same of both lines."""
-    middle, leak = 0.5 * p.lines_supply * (1.0 + mean), p.external_leakage__conductance
-    return _outflow(p, middle + 0.5 * pressure, leak), _outflow(p, middle - 0.5 * pressure, -leak)
-
-
-@compiled
-def _mean_rate(p, spool, pressure, droop, mean, softness):
-    """How the mean pressure of the lines changes, as a share of half the supply's a second."""
-    x = _opening(p, spool)
-    drive = _drive(p, x, pressure, droop)
-    gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
-    a, b = _outflows(p, pressure, mean)
-    # Each line holds twice the volume that both have in series.
-    return (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
 
 
 @compiled
@@ -459,8 +435,15 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     if p.at_lift >= 0:
         leakage += _relief_flow(p, y, dy, pressure)
     if p.at_mean >= 0:
-        a, b = _outflows(p, pressure, y[p.at_mean])
+        mean = y[p.at_mean]
+        middle, leak = 0.5 * p.lines_supply * (1.0 + mean), p.external_leakage__conductance
+        a, b = _outflow(p, middle + 0.5 * pressure, leak), _outflow(p, middle - 0.5 * pressure, -leak)
         leakage += 0.5 * (a - b)
+        # The mean pressure, as a share of half the supply's. Each line holds twice the volume that both have in series.
+        x = _opening(p, y[at + 1])
+        drive = _drive(p, x, pressure, droop)
+        gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
+        dy[p.at_mean] = (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
     if p.at_side >= 0:
         drop = pressure - y[p.at_side]
         if p.different:
@@ -471,8 +454,6 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     leakage += _loss_flow(p, pressure, speed)
     motor_flow = displacement * speed
     dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
-    if p.at_mean >= 0:
-        dy[p.at_mean] = _mean_rate(p, y[at + 1], pressure, droop, y[p.at_mean], softness)
 
     at_motor = _at_motor(p, pressure, motor_flow)
     torque = displacement * at_motor - p.B * math.exp(change) * speed

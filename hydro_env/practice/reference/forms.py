@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,12 +74,10 @@ def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, t
     return {"stop_travels": tuple(travels[order].tolist()), "stop_shares": tuple(shares[order].tolist())}
 
 
-def draw(rng: np.random.Generator) -> dict[str, float | tuple[float, ...]]:
+def draw(rng: np.random.Generator) -> dict[str, Any]:
     """The constants of one rig."""
-    found: dict[str, float | tuple[float, ...]] = {c.name: c.at(rng.random()) for c in _EARLY}
-    reach = found["stop_reach"]
-    assert isinstance(reach, float)
-    found |= _stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))
+    found: dict[str, Any] = {c.name: c.at(rng.random()) for c in _EARLY}
+    found |= _stops(found["stop_reach"], rng.random(STOPS), rng.gamma(2.0, size=STOPS))
     return found | {c.name: c.at(rng.random()) for c in _LATER}
 
 

@@ -131,18 +131,18 @@ class ReferenceRig:
     ) -> None:  # fmt: skip
         if forms not in FORMS:
             raise ValueError(f"forms is {forms!r}, expected one of {', '.join(FORMS)}")
-        self.model, self.forms, self.method, self.tolerance = load_model(model), forms, method, tolerance
+        self.model, self.method, self.tolerance = load_model(model), method, tolerance
         for name, acts in self.model.effects.items():
             if name not in BUILT_IN and not all(CATALOGUE[name].is_neutral(values or {}) for values in acts):
                 raise InputError(
                     f"{name}: the reference simulator has no equations for this user's effect; use hydro_env.plant.simulate"
                 )
-        self.constants = checked(constants)
+        known = checked(constants)
         self._delays = self.model.pair("command_delay.delay")
         self._rated = np.array(self.model.pair("u_rated"))
         coupled = any(self.model.pair("supply_droop.relative_drop"))
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
-        self._groups = [Group(self.model, members, self.forms, self.constants) for members in sets]
+        self._groups = [Group(self.model, members, forms, known) for members in sets]
         self.time = 0.0
         # (when, voltage) on its way, by channel
         self._coming: tuple[list[tuple[float, float]], ...] = ([], [])
