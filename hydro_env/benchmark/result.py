@@ -225,7 +225,7 @@ def _given(path: str | Path, found: Mapping[str, Any], controllers: Sequence[Any
     spec = controllers[0] if controllers else found["given"]
     digest, there = found["file_sha256"], controllers or split_gains(spec)[0] in CONTROLLERS
     if not there or len(controllers) > 1 or _origin(spec)["file_sha256"] != digest:
-        wanted = f", sha256 {digest}: give that file" if digest else ""
+        wanted = f", sha256 {digest}: give that file" if digest or not there else ""
         raise InputError(f"{path}: is the result of {found['given']}{wanted}")
     return spec
 

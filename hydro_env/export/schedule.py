@@ -52,8 +52,7 @@ class Schedule:
         self._uses = _uses(assignments.values())
         for expression in assignments.values():
             self._prepare(expression)
-        stores = self._stores(assignments)
-        self.body += stores
+        self.body += list(self._stores(assignments))
 
     def name_of(self, node: Any) -> str | None:
         """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
@@ -226,7 +225,7 @@ class Schedule:
         return self._lowered(each)
 
     # --- the end ----------------------------------------------------------------------------------------------------
-    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> list[Statement]:
+    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> Iterator[Statement]:
         """Stores, with neighbours from the same array together. What reads the state gets a variable first."""
         rows: dict[tuple[str, int], list[Expr]] = {}  # of neighbours, by the array and the index of the first
         for (name, index), x in assignments.items():
@@ -235,7 +234,6 @@ class Schedule:
                 rows[first].append(x)
             else:
                 rows[name, index] = [x]
-        stores: list[Statement] = []
         for (name, start), row in rows.items():
             array = name if name == "command" else self._state + name
             for n, run in self._runs(row):
@@ -243,12 +241,10 @@ class Schedule:
                 if len(run) > 1:
                     in_state = x.op == "leaf" and x.value[0] != "measured"  # which is stored to
                     value = _at(self._copied(run) if in_state else self._gathered(run), _I)
-                    stores.append(self._loop(len(run), [Store(array, add(_I, place), value)]))
-                elif x.op in ("const", "item") or x in self._names:
-                    stores.append(Store(array, place, self._lowered(x)))
+                    yield self._loop(len(run), [Store(array, add(_I, place), value)])
                 else:
-                    stores.append(Store(array, place, self._variable(x)))
-        return stores
+                    at_hand = x.op in ("const", "item") or x in self._names
+                    yield Store(array, place, self._lowered(x) if at_hand else self._variable(x))
 
 
 def _uses(roots: Iterable[Expr]) -> Counter[Any]:

@@ -487,11 +487,9 @@ def _product(a: Any, b: Any) -> Symbols:
     matrix, plain = np.asarray(b), a.view(np.ndarray)
     weights, size = np.ascontiguousarray(matrix.T), matrix.shape[1]
     (kind, _), _ = _promoted("mul", (a.kind, kind_of(matrix.dtype)))
-    made: list[Expr] = []
-    for row in plain.reshape(-1, plain.shape[-1]):
-        block = Block("product", kind, [_cast_row(list(row), kind)], size, weights)
-        made += [item(block, n) for n in range(size)]
-    return symbols(made, (*plain.shape[:-1], size))
+    rows = [_cast_row(list(row), kind) for row in plain.reshape(-1, plain.shape[-1])]
+    blocks = [Block("product", kind, [row], size, weights) for row in rows]
+    return symbols((item(block, n) for block in blocks for n in range(size)), (*plain.shape[:-1], size))
 
 
 def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
@@ -505,10 +503,6 @@ def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
 def _mean(array: Any, axis: Any = None, keepdims: bool = False, **more: Any) -> Any:
     total = _reduced("add", array, axis, keepdims)
     return _blockwise("div", [total, array.size // max(1, total.size)])
-
-
-def _clip(array: Any, low: Any, high: Any, out: Any = None) -> Any:
-    return np.minimum(np.maximum(array, low), high, out=out)
 
 
 def _copyto(to: Symbols, value: Any, where: Any = True) -> None:
@@ -546,7 +540,8 @@ def _sort(array: Any, axis: int = -1) -> Symbols:
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
-    np.where: lambda *inputs: _blockwise("where", inputs), np.clip: _clip, np.mean: _mean, np.copyto: _copyto,
+    np.where: lambda *inputs: _blockwise("where", inputs), np.mean: _mean, np.copyto: _copyto,
+    np.clip: lambda array, low, high, out=None: np.minimum(np.maximum(array, low), high, out=out),
     np.zeros_like: partial(_filled, 0.0), np.ones_like: partial(_filled, 1.0), np.empty_like: partial(_filled, 0.0),
     np.take_along_axis: _take_along_axis, np.flatnonzero: _flatnonzero, np.sort: _sort, np.matmul: _product,
     np.isfinite: lambda x: _blockwise("lt", [_blockwise("abs", [x]), math.inf]), np.positive: lambda x: x,

@@ -107,12 +107,14 @@ class PracticeSettings:
 @dataclass(frozen=True)
 class Practice:
     """Practice logs. `logs` maps "fit_1", "fit_2", "sealed" to columns by header name; `given` is the model an engineer
-    has, `true` the one that made the logs; `hidden` and `truth` (the content of truth.json) say what the difference is.
+    has, `true` the one that made the logs with these `constants` of form (None: the catalogue's forms); `hidden` and `truth`
+    (the content of truth.json) say what the difference is.
     """
 
     logs: Mapping[str, Mapping[str, Array]]
     given: PlantModel
     true: PlantModel
+    constants: Constants | None
     hidden: tuple[Hidden, ...]
     truth: Mapping[str, Any]
 
@@ -149,7 +151,8 @@ def make_practice(
     check_values(own.values, chosen, given)
     duration = round(ROUND * stretch_of(given), 1) if own.duration is None else own.duration
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
-    hidden = choose(given, chosen, own.values, own.severity, duration, np.random.default_rng(size_seed))
+    sizes = np.random.default_rng(size_seed)
+    hidden = tuple(choose(given, chosen, own.values, own.severity, duration, sizes))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
     drawn = scaled(draw(np.random.default_rng(form_seed)), scales_of(given))
     constants = drawn if forms == "different" else None
@@ -181,7 +184,7 @@ def make_practice(
             for kind in (("fit", "sealed") if own.play is None else (PLAYED,))
         },
     }
-    return Practice(logs, given, true, hidden, truth)
+    return Practice(logs, given, true, constants, hidden, truth)
 
 
 def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Array]:

@@ -8,7 +8,7 @@ shape, not size, is drawn as well. None of it is taken from what a diagnosis ass
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,11 +35,6 @@ class Hidden:
     name: str
     channel: str
     parameters: Mapping[str, float]
-
-    @property
-    def acts_on(self) -> tuple[bool, bool]:
-        """Whether it acts on channels 1 and 2."""
-        return self.channel != "2", self.channel != "1"
 
 
 # --- the words of the command -----------------------------------------------------------------------------------------
@@ -166,13 +161,12 @@ def _draw(effect: Effect, severity: str, duration: float, rng: np.random.Generat
 def choose(
     given: PlantModel, effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float,
     rng: np.random.Generator,
-) -> tuple[Hidden, ...]:  # fmt: skip
+) -> Iterator[Hidden]:  # fmt: skip
     """What is hidden in a rig like `given`: `effects` {name: channel} with drawn parameters, but for the `values`
     {effect.parameter: SI}.
 
     InputError if an effect would be neutral.
     """
-    hidden = []
     for name, channel in effects.items():
         # Everything is drawn, so that an explicit value changes no other one.
         chosen = _draw(_usual(given, name, channel), severity, duration, rng)
@@ -181,8 +175,7 @@ def choose(
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
             )
-        hidden.append(Hidden(name, channel, chosen))
-    return tuple(hidden)
+        yield Hidden(name, channel, chosen)
 
 
 # --- the rig ----------------------------------------------------------------------------------------------------------
@@ -205,12 +198,13 @@ def true_model(
     }
     true = given.with_values(changed, name="rig")
     for h in hidden:
+        acts_on = h.channel != "2", h.channel != "1"
         for c, acts in enumerate(given.effects.get(h.name, ())):
-            if h.acts_on[c] and not CATALOGUE[h.name].is_neutral(acts):
+            if acts_on[c] and not CATALOGUE[h.name].is_neutral(acts):
                 raise InputError(
                     f"{h.name}: model {given.name!r} has this effect on channel {c + 1} already; "
                     "hide another effect, or begin with a model without this one"
                 )
         values = {f"{h.name}.{own}": value for own, value in h.parameters.items()}
-        true = true.with_values({n: np.where(h.acts_on, v, true.pair(n)) for n, v in values.items()})
+        true = true.with_values({n: np.where(acts_on, v, true.pair(n)) for n, v in values.items()})
     return true, wrong

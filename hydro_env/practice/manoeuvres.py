@@ -13,7 +13,7 @@ values, a shorter one the beginning of the first.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -54,10 +54,6 @@ class Plan(NamedTuple):
             step = setpoint if closed else command
             value[n] = now = now + min(max(wanted - now, -step), step)
         return Plan(value, self.closed, self.load)
-
-    def first(self, rows: int) -> Plan:
-        """The beginning of it."""
-        return Plan(*(each[:rows] for each in self))
 
 
 # --- profiles: arrays over a number of periods ---------------------------------------------------------------------------
@@ -213,15 +209,14 @@ RUNS: dict[str, Callable[[Stream, Stream, float], Plan]] = {
 }  # fmt: skip
 
 
-def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> list[Plan]:
+def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> Iterator[Plan]:
     """The plan of each channel in a run of `RUNS` of `steps` control periods of `dt` s."""
     shared, *own = seeds.spawn(3)
-    found = []
-    for side in (0, 1):
-        # The shared stream starts again for each channel: both draw the same from it.
-        common, alone = np.random.default_rng(shared), np.random.default_rng(own[side])
+    for alone in map(np.random.default_rng, own):
+        common = np.random.default_rng(
+            shared
+        )  # from its beginning for each channel: both draw the same from it
         rounds = [RUNS[run](common, alone, dt)]
         while sum(r.value.size for r in rounds) < steps:
             rounds.append(RUNS[run](common, alone, dt))
-        found.append(Plan.join(rounds).first(steps))
-    return found
+        yield Plan(*(each[:steps] for each in Plan.join(rounds)))

@@ -222,7 +222,7 @@ def test_forms_are_drawn_for_every_rig():
 def test_manoeuvres_differ_from_seed_to_seed():
     """No two rigs are asked to do the same, and both channels are in closed loop at the same time."""
     for name in RUNS:
-        first, second = (plans(name, np.random.SeedSequence(s), 0.01, 1200) for s in (1, 2))
+        first, second = (list(plans(name, np.random.SeedSequence(s), 0.01, 1200)) for s in (1, 2))
         np.testing.assert_array_equal(first[0].closed, first[1].closed)
         assert np.mean(first[0].value == second[0].value) < 0.3
         for plan in first:
