@@ -123,15 +123,12 @@ class Supervisor:
             elif not low <= value <= high:
                 self.fail(now, f"{key} is {source.shown(value)}, its range is {source.said}")
             last, since = self._repeated.get(key, (math.nan, now))
-            if value != last or not self._driven(key):
+            driven = key[-1] in "12" and self.command[int(key[-1]) - 1] != 0.0  # its channel has a command
+            if value != last or not driven:
                 since = now
             elif now - since > (most := self.link.frozen_after(key)):
                 self.fail(now, f"{key} is frozen: {source.shown(value)} for {most:g} s under command")
             self._repeated[key] = value, since
-
-    def _driven(self, key: str) -> bool:
-        """Whether the channel of a signal has a command."""
-        return key[-1] in "12" and self.command[int(key[-1]) - 1] != 0.0
 
     def _wait(self, now: float, sample: Sample) -> None:
         clock = now if sample.time is None else sample.time

@@ -91,13 +91,6 @@ def _sign(rng: Stream) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _both_ways(rng: Stream, low: float, high: float, sizes: int) -> Array:
-    """Sizes from low to high (log-uniform within equal parts of that range), each with both signs, in random order."""
-    places = (np.arange(sizes) + rng.random(sizes)) / sizes
-    found = low * (high / low) ** places
-    return rng.permutation(np.concatenate([found, -found]))
-
-
 # --- parts of the valve bench: fractions of the rated command ------------------------------------------------------------
 def _slow_triangle(rng: Stream, rows: int, dt: float) -> Plan:
     return _open(_triangle(0.0, _sign(rng) * rng.uniform(0.45, 0.9), 1.0, rows))
@@ -108,8 +101,10 @@ def _fast_triangle(rng: Stream, rows: int, dt: float) -> Plan:
 
 
 def _steps(rng: Stream, rows: int, dt: float) -> Plan:
-    """Steps of many sizes both ways, every third back to zero."""
-    sizes = _both_ways(rng, 0.08, 0.9, 4)
+    """Steps of many sizes both ways in random order, every third back to zero. Sizes are log-uniform within equal parts of their
+    range."""
+    sizes = 0.08 * (0.9 / 0.08) ** ((np.arange(4) + rng.random(4)) / 4)
+    sizes = rng.permutation(np.concatenate([sizes, -sizes]))
     return _open(_hold(np.insert(sizes, [2, 4, 6, 8], 0.0), rows))
 
 
