@@ -46,17 +46,13 @@ class Schedule:
         self.body: list[Statement] = []
         self.variables: dict[str, tuple[str, int]] = {}
         self.assignments, self._reader, self._state, self._part = assignments, reader, state, part
-        self._names: dict[Expr, str] = {}  # variables of expressions
-        self._arrays: dict[Any, str] = {}  # arrays of blocks and of calls
+        #: The variables of expressions, and the arrays of blocks and of what calls leave.
+        self.names: dict[Any, str] = {}
         self._depth: dict[Any, int] = {}
         self._uses = _uses(assignments.values())
         for expression in assignments.values():
             self._prepare(expression)
         self.body += list(self._stores(assignments))
-
-    def name_of(self, node: Any) -> str | None:
-        """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
-        return self._names.get(node) or self._arrays.get(node)
 
     # --- names ----------------------------------------------------------------------------------------------------
     def _fresh(self, letter: str, kind: str, size: int = 0) -> str:
@@ -71,13 +67,13 @@ class Schedule:
     def _variable(self, x: Expr) -> nodes.Expr:
         """The expression in a variable of its own."""
         value = self._lowered(x)
-        name = self._names[x] = self._fresh("x", x.kind)
+        name = self.names[x] = self._fresh("x", x.kind)
         self.body.append(Assign(name, value))
         return var(name, x.kind)
 
     def _lowered(self, x: Expr) -> nodes.Expr:
-        if x in self._names:
-            return var(self._names[x], x.kind)
+        if x in self.names:
+            return var(self.names[x], x.kind)
         if x.op == "const":
             return const(x.value, x.kind)
         if x.op in ("leaf", "item"):
@@ -115,7 +111,7 @@ class Schedule:
         if x.op == "leaf":
             name, index = x.value
             return (name if name == "measured" else self._state + name), index
-        return (self._arrays[x.args[0]], x.value) if x.op == "item" else None
+        return (self.names[x.args[0]], x.value) if x.op == "item" else None
 
     def _slice_of(self, row: list[Expr]) -> Arr | None:
         """Where expressions lie side by side in an array."""
@@ -167,7 +163,7 @@ class Schedule:
     def _operand(self, row: list[Expr]) -> nodes.Expr:
         """An operand in a loop over `i`."""
         if all(x is row[0] for x in row):
-            simple = row[0].op in ("const", "leaf", "item") or row[0] in self._names
+            simple = row[0].op in ("const", "leaf", "item") or row[0] in self.names
             return self._lowered(row[0]) if simple else self._variable(row[0])
         return _at(self._gathered(row), _I)
 
@@ -176,7 +172,7 @@ class Schedule:
             self._product(block)
             return
         operands = tuple(cast(self._operand(row), row[0].kind) for row in block.operands)
-        name = self._arrays[block] = self._fresh("v", block.kind, block.size)
+        name = self.names[block] = self._fresh("v", block.kind, block.size)
         value = nodes.Expr(block.op, block.kind, operands)
         self.body.append(self._loop(block.size, [Store(name, _I, value)]))
 
@@ -184,7 +180,7 @@ class Schedule:
         (row,), (rows, columns) = block.operands, block.matrix.shape
         operand = self._gathered(row)
         weights = self._table(block.matrix, block.kind, "weights")
-        name = self._arrays[block] = self._fresh("v", block.kind, rows)
+        name = self.names[block] = self._fresh("v", block.kind, rows)
         total = var(self._fresh("sum", block.kind), block.kind)
         weight = cast(_at(weights, add(mul(const(columns, "int"), _I), _J)), block.kind)
         more = Assign(total.value, op("add", total, op("mul", weight, cast(_at(operand, _J), block.kind))))
@@ -202,7 +198,7 @@ class Schedule:
             before = call.before[place]
             if place in how.written:
                 places[place] = self._copied(before)
-                self._arrays[call.after[place]] = places[place].name
+                self.names[call.after[place]] = places[place].name
             else:
                 places[place] = self._slice_of(before) or self._filled("a", before)
         handed = [self._handed(each, places) for each in how.handed]
@@ -243,7 +239,7 @@ class Schedule:
                     value = _at(self._copied(run) if in_state else self._gathered(run), _I)
                     yield self._loop(len(run), [Store(array, add(_I, place), value)])
                 else:
-                    at_hand = x.op in ("const", "item") or x in self._names
+                    at_hand = x.op in ("const", "item") or x in self.names
                     yield Store(array, place, self._lowered(x) if at_hand else self._variable(x))
 
 

@@ -279,11 +279,18 @@ class RowNumbers(np.ndarray):
         return index if isinstance(index, MaskedRows) else super().__getitem__(index)
 
 
+class Guard:
+    """The answer to a question to the whole batch, which only saves work: yes, or no where that is known."""
+
+    def __init__(self, truth: Expr) -> None:
+        self.truth = truth
+
+    def __bool__(self) -> bool:
+        return self.truth.op != "const" or bool(self.truth.value)
+
+
 class Symbols(np.ndarray):
     """An array of expressions, all of one kind."""
-
-    def __array_finalize__(self, other: Any) -> None:
-        pass
 
     @property
     def kind(self) -> str:
@@ -359,13 +366,6 @@ class Symbols(np.ndarray):
         return _wrapped(super().__array_function__(function, types, tuple(map(_alike, args)), kwargs))
 
 
-class Guard(Symbols):
-    """The answer to a question to the whole batch, which only saves work: yes, or no where that is known."""
-
-    def __bool__(self) -> bool:
-        return self.view(np.ndarray).item().known is not False
-
-
 def symbols(elements: Iterable[Expr], shape: tuple[int, ...]) -> Symbols:
     """An array of these expressions."""
     return np.fromiter(elements, object).reshape(shape).view(Symbols)
@@ -396,6 +396,8 @@ def _alike(value: Any) -> Any:
 
 def _objects(value: Any) -> Any:
     """Anything as a plain array of expressions."""
+    if isinstance(value, Guard):
+        value = symbols([value.truth], ())
     array = np.asarray(value)
     return array if array.dtype == object else known(array).view(np.ndarray)
 
@@ -492,7 +494,7 @@ def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
     if op == "add" and _kind(plain) == "bool":
         plain = _cast(plain, "int")
     result = _each(op).reduce(plain, axis=axis, keepdims=keepdims)
-    return _wrapped(result).view(Guard) if op == "or" and axis is None else _wrapped(result)
+    return Guard(result) if op == "or" and axis is None else _wrapped(result)
 
 
 def _mean(array: Any, axis: Any = None, keepdims: bool = False, **more: Any) -> Any:
