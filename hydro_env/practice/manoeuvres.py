@@ -214,4 +214,5 @@ def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> Ite
         rounds = [RUNS[run](common, alone, dt)]
         while sum(r.value.size for r in rounds) < steps:
             rounds.append(RUNS[run](common, alone, dt))
-        yield Plan(*(each[:steps] for each in Plan.join(rounds)))
+        whole = Plan.join(rounds)
+        yield Plan(whole.value[:steps], whole.closed[:steps], whole.load[:steps])
