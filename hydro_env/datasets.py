@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
     from minari.data_collector import EpisodeBuffer
 
-__all__ = ["CONTROLLERS", "RANDOM", "SPLITS_RECORDED", "Task", "check", "write"]
-
 #: The behaviour that draws every action evenly from the action space, as Gymnasium's `action_space.sample` does.
 RANDOM = "random"
 #: What is recorded where no controller is named: from no skill to all knowledge.
@@ -47,8 +45,8 @@ DEFAULT_SCENARIO = "random_steps"
 EVALUATION = "test_interp"
 #: Rigs that are driven at once, which bounds the memory.
 AT_ONCE = 100
-#: HDF5 takes half as much again as the arrays themselves; as a whole number to be safe. Bytes of one write.
-HDF5_OVERHEAD, BLOCK = 2, 2**20
+#: HDF5 takes half as much again as the arrays themselves; as a whole number to be safe.
+HDF5_OVERHEAD = 2
 #: What is kept of the environment's `info` beside the true signals.
 COSTS = ("cost_difference", "cost_travel")
 
@@ -171,9 +169,7 @@ def _make_sure_of_room(folder: Path, buffers: Sequence[EpisodeBuffer]) -> None:
     )
     path = folder / "room"
     try:
-        with path.open("wb") as file:
-            for _ in range(1 + HDF5_OVERHEAD * need // BLOCK):
-                file.write(bytes(BLOCK))
+        path.write_bytes(bytes(HDF5_OVERHEAD * need))
     finally:
         path.unlink(missing_ok=True)
 

@@ -12,6 +12,8 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +38,17 @@ SCORE = Metric(
     "scenario; more is better",
     lambda trace: trace.returns, more=True,
 )  # fmt: skip
+#: The metrics of scores.json by name.
 SCORED = METRICS | {SCORE.name: SCORE}
-"""The metrics of scores.json by name."""
+#: Of the plant that every controller meets: half the time of float64, and scores move as they do with other steps
+#: (docs/reference/benchmark.md, Precision).
 DTYPE = "float32"
-"""Of the plant that every controller meets: half the time of float64, and scores move as they do with other steps
-(docs/reference/benchmark.md, Precision)."""
-
+#: S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve.
 LIMIT = 600.0
-"""S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve."""
-
+#: Of a controller's name.
 MAX_LETTERS = 200
-"""Of a controller's name."""
-
+#: How many samples of a trace the page keeps, about: those with the largest difference.
 TRACE_SAMPLES = 120
-"""How many samples of a trace the page keeps, about: those with the largest difference."""
 
 
 @dataclass
@@ -143,11 +142,8 @@ def cells_of(specs: Sequence[Any], suite: Suite, trust: bool) -> Iterator[Cell]:
 
 
 def by_name(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
-    """The cells of each controller."""
-    found: dict[str, list[Cell]] = {}
-    for cell in cells:
-        found.setdefault(cell.name, []).append(cell)
-    return found
+    """The cells of each controller, which stand together."""
+    return {name: list(own) for name, own in groupby(cells, attrgetter("name"))}
 
 
 def _text(spec: Any, key: str, value: Any) -> str:
@@ -293,14 +289,17 @@ def overall(cells: Sequence[Cell], ends: Mapping[tuple[str, str], tuple[float, f
     seeds = [sorted({cell.split for cell in cells}).index(cell.split) for cell in cells]
     faults = [cell.faults for cell in cells]
 
-    def mean(summaries: list[Summary], values: list[Floats]) -> Summary:
+    def mean(parts: list[tuple[Summary, Floats]]) -> Summary:
+        summaries, values = zip(*parts, strict=True)
         return mean_of(summaries, list(zip(values, faults, seeds, strict=True)))
 
     found = {
-        name: mean([cell.summaries[name] for cell in cells], [cell.metrics[name] for cell in cells])
+        name: mean([(cell.summaries[name], cell.metrics[name]) for cell in cells])
         for name in (PEAK, TRACKING)
     }
     if all(cell.place in ends for cell in cells):
         own = [(cell.summaries[RETURN], cell.metrics[RETURN], ends[cell.place]) for cell in cells]
-        found[SCORE.name] = mean([normalised(s, at) for s, _, at in own], [scaled(v, at) for _, v, at in own])
+        found[SCORE.name] = mean(
+            [(normalised(summary, at), scaled(values, at)) for summary, values, at in own]
+        )
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -108,11 +108,11 @@ def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
     files = [controllers_in(str(spec)) if str(spec).endswith(".py") else [spec] for spec in controllers]
-    controllers = list(chain.from_iterable(files))
-    if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
-        return controllers
+    specs = list(chain.from_iterable(files))
+    if "all" not in specs:
+        return specs
     names = [entry.name for entry in CONTROLLERS.values() if not entry.apart]
-    return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
+    return names + [spec for spec in specs if spec not in ("all", *names)]
 
 
 def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str, Any]:
@@ -121,9 +121,8 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
     baseline = BASELINE if BASELINE in names else names[0]
     ends, scored = score_ends(cells), [cell for cell in cells if cell.metrics]
     rows = [(cell, metric, cell.summaries[metric]) for cell in scored for metric in suite.metrics]
-    for cell in scored:
-        if cell.place in ends:
-            rows.append((cell, SCORE.name, normalised(cell.summaries[RETURN], ends[cell.place])))
+    for cell in (cell for cell in scored if cell.place in ends):
+        rows.append((cell, SCORE.name, normalised(cell.summaries[RETURN], ends[cell.place])))
     plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
     drawn = {split: _drawn_over(plant, split) for split in suite.splits if split != OWN}
@@ -153,7 +152,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "idle": _told(cells, "idle", "idle"),
         "decision_us": {name: _decision_us(own) for name, own in cells_by_name.items()},
         "notes": _told(cells, "note", "note"),
-        "improvement": _improvement(cells, suite, baseline),
+        "improvement": list(_improvement(cells, suite, baseline)),
         "overall": [
             {"controller": name, "metric": metric, **s.row}
             for name, own in cells_by_name.items()
@@ -202,19 +201,18 @@ def _unscored(cells: list[Cell], ends: Mapping[tuple[str, str], Any]) -> str:
     return f" No {SCORE.title} in {', '.join(places)}, {why}." if places else ""
 
 
-def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[str, Any]]:
+def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> Iterator[dict[str, Any]]:
     """How probably each cell's controller does better than the baseline on the same case."""
     theirs = {cell.place: cell.metrics for cell in cells if cell.name == baseline}
-    rows: list[dict[str, Any]] = []
     for cell in cells:
         if cell.name == baseline or not cell.metrics or not theirs[cell.place]:
             continue
         for metric in suite.metrics:
             sign = -1.0 if METRICS[metric].more else 1.0
-            costs = sign * cell.metrics[metric], sign * theirs[cell.place][metric]
-            chance = probability_of_improvement(*costs)
-            rows.append({**cell.about, "metric": metric, "over": baseline, "probability": chance})
-    return rows
+            chance = probability_of_improvement(
+                sign * cell.metrics[metric], sign * theirs[cell.place][metric]
+            )
+            yield {**cell.about, "metric": metric, "over": baseline, "probability": chance}
 
 
 def _traces(cells: list[Cell], conditions: Conditions) -> dict[str, Any] | None:

@@ -14,13 +14,13 @@ from hydro_env.benchmark.cells import SCORE, SCORED
 from hydro_env.benchmark.suite import PEAK
 from hydro_env.pages import fill
 
+#: Privileged information: what a controller has beyond the measurements on the rig, by its attribute `needs`.
 NEEDS = {
     "measurements": "",
     "bench": "valve bench",
     "parameters": "true valve parameters",
     "everything": "true parameters, state, future loads",
 }
-"""Privileged information: what a controller has beyond the measurements on the rig, by its attribute `needs`."""
 
 
 def scores_table(scores: dict[str, Any]) -> str:
@@ -70,10 +70,10 @@ def _columns(scores: dict[str, Any]) -> list[str]:
     return list(first.values())[::-1]
 
 
+#: Of the peak synchronisation error: the probability of improvement.
 BETTER = "better"
-"""Of the peak synchronisation error: the probability of improvement."""
+#: Beside the name of a controller that hardly moves the motors.
 IDLE = " (idle)"
-"""Beside the name of a controller that hardly moves the motors."""
 SETTLING = "sync_settling_time_s"
 
 

@@ -223,13 +223,10 @@ def check(
 def _given(path: str | Path, found: Mapping[str, Any], controllers: Sequence[Any]) -> Any:
     """The controller of a result: one that ships, or that of the file which was given and has the same content."""
     spec = controllers[0] if controllers else found["given"]
-    told = f"{path}: is the result of {found['given']}"
-    if not controllers and split_gains(spec)[0] not in CONTROLLERS:
-        raise InputError(f"{told}, sha256 {found['file_sha256']}: give that file")
-    if len(controllers) > 1 or _origin(spec)["file_sha256"] != found["file_sha256"]:
-        raise InputError(
-            f"{told}, sha256 {found['file_sha256']}: give that file" if found["file_sha256"] else told
-        )
+    digest, there = found["file_sha256"], controllers or split_gains(spec)[0] in CONTROLLERS
+    if not there or len(controllers) > 1 or _origin(spec)["file_sha256"] != digest:
+        wanted = f", sha256 {digest}: give that file" if digest or not there else ""
+        raise InputError(f"{path}: is the result of {found['given']}{wanted}")
     return spec
 
 
@@ -264,8 +261,7 @@ def _cells(found: Mapping[str, Any], spec: Any, trust: bool) -> list[Cell]:
 
 
 def _check_summary(path: str | Path, found: Mapping[str, Any], cells: Sequence[Cell]) -> None:
-    pairs = [(key.partition(" ")[::2], pair) for key, pair in found["score_ends"].items()]
-    ends = {(split, scenario): (low, high) for (split, scenario), (low, high) in pairs}
+    ends = {key.partition(" ")[::2]: pair for key, pair in found["score_ends"].items()}
     again = {metric: summary.row for metric, summary in overall(cells, ends).items()}
     for metric in again.keys() | found["overall"].keys():
         right, kept = (
@@ -283,13 +279,10 @@ def _class(cell: Cell) -> str:
 
 def _origin(spec: Any) -> dict[str, str | None]:
     """What a controller is called, without the folder of its file, and the digest of that; None for one that ships."""
-    path = source_of(str(spec))
-    if path is None:
-        return {"given": str(spec), "file_sha256": None}
-    return {
-        "given": str(spec).replace(str(path), path.name),
-        "file_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-    }
+    given, digest = str(spec), None
+    if (path := source_of(given)) is not None:
+        given, digest = given.replace(str(path), path.name), hashlib.sha256(path.read_bytes()).hexdigest()
+    return {"given": given, "file_sha256": digest}
 
 
 def _digest(content: Mapping[str, Any]) -> str:

@@ -20,11 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.validation import Count, FileTable, Number
 
-__all__ = [
-    "Summary", "bootstrap_interval", "cvar", "iqm", "mean_of", "normalised", "probability_of_improvement", "resampled",
-    "scaled", "summarise",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 
 

@@ -17,11 +17,11 @@ Split = Annotated[str, known("split", (*SPLITS, OWN))]
 Scenario = Annotated[str, known("scenario", SCENARIOS)]
 Metric = Annotated[str, known("metric", METRICS)]
 
+#: Who sets 0 and who sets 100 of the score. The probability of improvement is given against the first (against the first
+#: controller where it does not take part).
 BASELINE, BOUND = "pid_tuned", "oracle"
-"""Who sets 0 and who sets 100 of the score. The probability of improvement is given against the first (against the first
-controller where it does not take part)."""
+#: The metrics that a result is summed up by.
 RETURN, PEAK, TRACKING = SCORED_BY = "return", "max_speed_difference_rpm", "tracking_mae_rpm"
-"""The metrics that a result is summed up by."""
 
 
 class Suite(FileTable):

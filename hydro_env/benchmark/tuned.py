@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,29 +19,25 @@ from hydro_env.parallel import Failure
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model, preset_names
 
+#: Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with.
 SEED = 10_000
-"""Of the search, beyond the cases of every benchmark: gains do not know the noise that they are scored with."""
 
 
-@dataclass(frozen=True)
-class _Job:
-    """A search for the gains of a shipped controller, and the folder that keeps them."""
-
-    name: str
-    wanted: Search
-    folder: Path
-
-    @property
-    def path(self) -> Path:
-        """Of the gains file; its folder is named by all that the gains depend on."""
-        model = load_model(self.wanted.task.plant).to_dict()
-        search = replace(self.wanted, task=replace(self.wanted.task, plant=""))
-        digest = hashlib.sha256(repr((model, search, version("hydro_env"))).encode()).hexdigest()[:12]
-        return self.folder / f"{self.name}-{digest}" / "gains.json"
+#: The name of a shipped controller, a search for its gains, and the gains file.
+Job = tuple[str, Search, Path]
 
 
-def _search(job: _Job) -> None:
-    tune(job.path.parent, job.wanted, job.name)
+def _job(name: str, wanted: Search, folder: Path) -> Job:
+    """A search whose gains file lies in a folder that is named by all that the gains depend on."""
+    model = load_model(wanted.task.plant).to_dict()
+    search = replace(wanted, task=replace(wanted.task, plant=""))
+    digest = hashlib.sha256(repr((model, search, version("hydro_env"))).encode()).hexdigest()[:12]
+    return name, wanted, folder / f"{name}-{digest}" / "gains.json"
+
+
+def _search(job: Job) -> None:
+    name, wanted, path = job
+    tune(path.parent, wanted, name)
 
 
 def _law(name: str) -> str:
@@ -66,16 +62,16 @@ def tuned(
     for name in specs:
         if isinstance(name, str) and (law := _law(name)):
             task = Task(law, plant=str(plant), mismatch=None if own else "train")
-            jobs_of[name] = _Job(name, Search(task, SEED, period, progress=False), folder)
-    missing = [job for job in jobs_of.values() if not job.path.exists()]
+            jobs_of[name] = _job(name, Search(task, SEED, period, progress=False), folder)
+    missing = [job for job in jobs_of.values() if not job[2].exists()]
     if missing and progress:
-        names = ", ".join(job.name for job in missing)
+        names = ", ".join(name for name, _, _ in missing)
         print(f"Tuning for {plant} first, gains in {folder}: {names}", flush=True)
     results = run_tasks(missing, _search, engine=engine, jobs=jobs, progress=progress, unit="controller")
-    for job, result in zip(missing, results, strict=True):
+    for (name, _, _), result in zip(missing, results, strict=True):
         if isinstance(result, Failure):
-            raise InputError(f"{job.name} cannot be tuned for {plant}: {result}; --as-shipped does without")
-    return [str(jobs_of[s].path) if isinstance(s, str) and s in jobs_of else s for s in specs], [*jobs_of]
+            raise InputError(f"{name} cannot be tuned for {plant}: {result}; --as-shipped does without")
+    return [str(jobs_of[s][2]) if isinstance(s, str) and s in jobs_of else s for s in specs], [*jobs_of]
 
 
 def warn_of_others(specs: Sequence[Any], plant: Any) -> None:

@@ -25,7 +25,7 @@ def c_code(program: Program, about: str) -> dict[str, str]:
         lines = [*variables(declared), "(void)measured;", *statements(body)]
         head = f"static void {which}_sample({name}_state *s, const double *measured, double *command) {{"
         bodies.append("\n".join([head, *("    " + line for line in lines), "}", ""]))
-    state = "".join(f"    {TYPES[each.kind]} {each.name}[{each.size}];\n" for each in program.state)
+    state = "".join(f"    {TYPES[kind]} {each}[{size}];\n" for each, (kind, size) in program.state.items())
     header, step = (
         template(file).substitute(
             name=name, guard=name.upper(), period=repr(program.period), about=about, version=__version__, measured=len(MEASURED),

@@ -10,7 +10,7 @@ import math
 import re
 import textwrap
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -24,6 +24,18 @@ TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
 BINARY = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
     "and": "&&", "or": "||",
+}  # fmt: skip
+#: How operations are written, as `filled` takes it; others are functions of the mathematical library.
+_FORMS = {
+    **{op: f"({{0}} {sign} {{1}})" for op, sign in BINARY.items()},
+    **{op: f"py_{op}({{inside}})" for op in ("mod", "min", "max", "sign", "argmin")},
+    "neg": "(-{0})", "not": "(!{0})", "where": "({0} ? {1} : {2})", "load": "{value}[{inside}]", "call": "{value}({inside})",
+    "floordiv": "py_div({inside})", "address": "&{value}[{inside}]", "cast": "({type}){0}",
+}  # fmt: skip
+#: The same of whole numbers, of truths, and in single precision.
+_FORMS_OF_KIND = {
+    ("min", "int"): "py_min_int({inside})", ("max", "int"): "py_max_int({inside})", ("abs", "int"): "py_abs_int({inside})",
+    ("abs", "float"): "fabsf({inside})", ("abs", "double"): "fabs({inside})", ("cast", "bool"): "({0} != 0)",
 }  # fmt: skip
 #: Words of C, and functions of its library, that are no names.
 RESERVED = frozenset((
@@ -70,41 +82,25 @@ def identifier(text: str) -> str:
 
 
 # --- expressions ------------------------------------------------------------------------------------------------------
+def filled(form: str, x: Expr, operands: Iterable[str], **more: str) -> str:
+    """The form of an operation with its operands: `{0}`, ... in parentheses where they need them, `{bare[0]}`, ... without,
+    `{inside}`: all of these."""
+    texts = list(operands)
+    plain = list(map(bare, texts))
+    return form.format(*texts, bare=plain, inside=", ".join(plain), value=x.value, **more)
+
+
 def expression(x: Expr) -> str:
     """An expression, in parentheses where it needs them."""
     if x.op == "const":
         return literal(x.value, x.kind)
     if x.op == "var":
         return str(x.value)
-    texts = [expression(each) for each in x.args]
-    if x.op == "load":
-        return f"{x.value}[{bare(texts[0])}]"
-    if x.op in BINARY:
-        return f"({texts[0]} {BINARY[x.op]} {texts[1]})"
-    inside = ", ".join(map(bare, texts))
-    match x.op:
-        case "address":
-            return f"&{x.value}{f'[{inside}]' if texts else ''}" if inside != "0" else str(x.value)
-        case "neg":
-            return f"(-{texts[0]})"
-        case "not":
-            return f"(!{texts[0]})"
-        case "cast" if x.kind == "bool":
-            return f"({texts[0]} != 0)"
-        case "cast":
-            return f"({TYPES[x.kind]}){texts[0]}"
-        case "where":
-            return f"({texts[0]} ? {texts[1]} : {texts[2]})"
-        case "call":
-            return f"{x.value}({inside})"
-        case "floordiv":
-            return f"py_div({inside})"
-        case "mod" | "min" | "max" | "sign" | "argmin":
-            return f"py_{x.op}{'_int' * (x.kind == 'int' and x.op in ('min', 'max'))}({inside})"
-        case "abs":
-            name = "py_abs_int" if x.kind == "int" else "fabsf" if x.kind == "float" else "fabs"
-            return f"{name}({inside})"
-    return f"{x.op}{'f' * (x.kind == 'float')}({inside})"
+    if x.op == "address" and (not x.args or x.args[0].known == 0):
+        return f"&{x.value}" if not x.args else str(x.value)
+    function = f"{x.op}{'f' * (x.kind == 'float')}({{inside}})"
+    form = _FORMS_OF_KIND.get((x.op, x.kind)) or _FORMS.get(x.op, function)
+    return filled(form, x, map(expression, x.args), type=TYPES[x.kind])
 
 
 # --- statements -------------------------------------------------------------------------------------------------------
@@ -140,14 +136,13 @@ def _statement(each: Statement) -> list[str]:
             return [f"{word};"]
 
 
-def variables(declared: dict[str, tuple[str, int]]) -> list[str]:
+def variables(declared: dict[str, tuple[str, int]]) -> Iterator[str]:
     """The declarations of variables, by name with their kind and, for arrays, their size."""
-    lines = []
     for type_ in dict.fromkeys(TYPES.values()):
         mine = {name: size for name, (kind, size) in declared.items() if TYPES[kind] == type_}
         own = [f"{name}[{size}]" if size else name for name, size in mine.items()]
-        lines += textwrap.wrap(f"{type_} {', '.join(own)};", 120) if own else []
-    return lines
+        if own:
+            yield from textwrap.wrap(f"{type_} {', '.join(own)};", 120)
 
 
 def _function(made: Function) -> str:
@@ -170,17 +165,13 @@ def listed(numbers: Iterable[str]) -> str:
     return "\n    ".join(textwrap.wrap(", ".join(numbers), 120, break_long_words=False))
 
 
-def _words(texts: Iterable[str]) -> list[str]:
-    return re.findall(r"\w+", "\n".join(texts))
-
-
 def source(reader: Reader, *users: str) -> str:
     """`users`, text in C, below the tables and functions that they need, callees first."""
     tables, functions = map(_table, reader.tables.values()), map(_function, reader.functions.values())
-    parts, words = list(users), set(_words(users))
+    parts, words = list(users), set(re.findall(r"\w+", "\n".join(users)))
     for text in reversed([*_HELPERS, *tables, *functions]):
         name = re.search(r"\w+(?=[\[(])", text)
         if name is not None and name[0] in words:
             parts.insert(0, text)
-            words.update(_words([text]))
+            words.update(re.findall(r"\w+", text))
     return "\n".join(["#include <math.h>\n", *parts])

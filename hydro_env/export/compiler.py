@@ -33,9 +33,7 @@ def build_library(
     library.parent.mkdir(parents=True, exist_ok=True)
     names = [str(path) for path in sources]
     shared = ["-shared"] if library.suffix == ".dll" else ["-shared", "-fPIC"]
-    command = [
-        *compiler, *flags, *shared, "-fvisibility=hidden", *names, "-o", str(library), "-lm",
-    ]  # fmt: skip
+    command = [*compiler, *flags, *shared, "-fvisibility=hidden", *names, "-o", str(library), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         said = done.stderr.splitlines()

@@ -75,11 +75,6 @@ def _controller(spec: str, model: PlantModel, single: bool, trust: bool) -> Any:
     return controller
 
 
-def _about(spec: str) -> str:
-    entry = CONTROLLERS.get(split_gains(spec)[0])
-    return f"In short: {entry.summary}." if entry is not None else "From a file of its user."
-
-
 #: How a program is written, by the name of the language.
 _LANGUAGES = {"c": c_code, "st": structured_text}
 
@@ -90,8 +85,10 @@ def texts_of(
     """A controller's program, under its own name or this one, and the texts of its files, as for `export_controller`."""
     program = program_of(spec, period, plant, single, trust, readable=language == "st")
     program.name = name or program.name
+    entry = CONTROLLERS.get(split_gains(spec)[0])
+    about = f"In short: {entry.summary}." if entry is not None else "From a file of its user."
     try:
-        return program, _LANGUAGES[language](program, _about(spec))
+        return program, _LANGUAGES[language](program, about)
     except TraceError as problem:
         raise _refusal(spec, problem) from None
 
@@ -109,7 +106,10 @@ def write_program(folder: Path, kind: str, spec: str, program: Program, texts: d
     """Writes the files of a program, by name, and export.json."""
     for name, text in texts.items():
         write_text(folder / name, text)
-    about = {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+    about = {
+        "control_period_s": program.period,
+        "state_numbers": sum(size for _, size in program.state.values()),
+    }
     _note(folder, kind, spec, [*texts], about)
 
 

@@ -9,6 +9,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from importlib.util import module_from_spec, resolve_name
+from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
@@ -70,7 +71,4 @@ class _Unpickler(pickle.Unpickler):
     copies: Copies
 
     def find_class(self, module: str, name: str) -> Any:
-        found = self.copies.module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
-        return found
+        return attrgetter(name)(self.copies.module(module))

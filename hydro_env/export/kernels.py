@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from .symbols import Expr, Kernel, MaskedRows, Symbols
 Handed = int | Expr | MaskedRows
 
 
-@dataclass
-class KernelCall:
+class KernelCall(NamedTuple):
     """How a recorded call is written: the function, what it is handed, and which arrays it changes."""
 
     name: str

@@ -64,7 +64,7 @@ class Names:
                 label = pascal(name) + (str(n + 1) if n >= 0 and node.op != "item" else "")
             elif isinstance(node, Expr) and node.op != "item" and "Part" not in label:
                 label += "Part"
-            old = schedule.name_of(node)
+            old = schedule.names.get(node, "")
             if old in schedule.variables and old not in called:
                 called[old] = self.new(label, schedule.variables[old])
             stack += [(each, label) for each in reversed(below(node))]

@@ -61,9 +61,8 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     by_row = {kernel.rows[name]: _accepted(name, ends, name in shared) for name, ends in ranges.items()}
     sent = max(_MIN_SENT, int(_SENT_PER_S * plant.longest_delay) + 3) if kernel.has_delay else 0
     known = {name.upper(): str(2 * kernel.numbers[name]) for name in _PLACES if kernel.numbers[name] >= 0}
-    coupled = "room[COUPLED] + room[COUPLED + 1] > 0.0" if "COUPLED" in known else "0"
     known |= {name.upper(): call for name, call in _sweeps(reader, kernel, plant.tolerance).items()}
-    known["ARE_COUPLED"] = f"({coupled})"
+    known["ARE_COUPLED"] = "(room[COUPLED] + room[COUPLED + 1] > 0.0)" if "COUPLED" in known else "(0)"
     limits = {
         "MAX_DELAY": plant.longest_delay,
         "MAX_ATTEMPTS": MAX_ATTEMPTS,

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hydro_env.ir import nodes
 from hydro_env.ir.nodes import Assign, For, Run, Statement, Store, add, cast, const, mul, op, var
-from hydro_env.ir.reader import Reader
+from hydro_env.ir.reader import Arr, Reader
 
 from .kernels import Handed, kernel_call
 from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, below, each_once
@@ -28,16 +27,13 @@ MIN_LOOP, MIN_TABLE = 4, 64
 _I, _J = var("i", "int"), var("j", "int")
 
 
-@dataclass
-class _Slice:
-    """Elements of an array, from `start` on."""
+def _part(array: str, kind: str, start: int = 0) -> Arr:
+    """The elements of an array from `start` on."""
+    return Arr(kind, array, const(start, "int"), (), ())
 
-    array: str
-    kind: str
-    start: int
 
-    def at(self, index: nodes.Expr) -> nodes.Expr:
-        return nodes.Expr("load", self.kind, (add(index, const(self.start, "int")),), self.array)
+def _at(part: Arr, index: nodes.Expr) -> nodes.Expr:
+    return nodes.Expr("load", part.kind, (add(index, part.offset),), part.name)
 
 
 class Schedule:
@@ -50,18 +46,13 @@ class Schedule:
         self.body: list[Statement] = []
         self.variables: dict[str, tuple[str, int]] = {}
         self.assignments, self._reader, self._state, self._part = assignments, reader, state, part
-        self._names: dict[Expr, str] = {}  # variables of expressions
-        self._arrays: dict[Any, str] = {}  # arrays of blocks and of calls
+        #: The variables of expressions, and the arrays of blocks and of what calls leave.
+        self.names: dict[Any, str] = {}
         self._depth: dict[Any, int] = {}
         self._uses = _uses(assignments.values())
         for expression in assignments.values():
             self._prepare(expression)
-        stores = self._stores(assignments)
-        self.body += stores
-
-    def name_of(self, node: Any) -> str | None:
-        """The variable or array that holds an expression, block or what a call leaves; None if nothing does."""
-        return self._names.get(node) or self._arrays.get(node)
+        self.body += list(self._stores(assignments))
 
     # --- names ----------------------------------------------------------------------------------------------------
     def _fresh(self, letter: str, kind: str, size: int = 0) -> str:
@@ -76,19 +67,19 @@ class Schedule:
     def _variable(self, x: Expr) -> nodes.Expr:
         """The expression in a variable of its own."""
         value = self._lowered(x)
-        name = self._names[x] = self._fresh("x", x.kind)
+        name = self.names[x] = self._fresh("x", x.kind)
         self.body.append(Assign(name, value))
         return var(name, x.kind)
 
     def _lowered(self, x: Expr) -> nodes.Expr:
-        if x in self._names:
-            return var(self._names[x], x.kind)
+        if x in self.names:
+            return var(self.names[x], x.kind)
         if x.op == "const":
             return const(x.value, x.kind)
         if x.op in ("leaf", "item"):
             found = self._slice_of([x])
             assert found is not None
-            return found.at(const(0, "int"))
+            return _at(found, const(0, "int"))
         return nodes.Expr(x.op, x.kind, tuple(map(self._lowered, x.args)))
 
     # --- what is computed before ----------------------------------------------------------------------------------
@@ -120,14 +111,14 @@ class Schedule:
         if x.op == "leaf":
             name, index = x.value
             return (name if name == "measured" else self._state + name), index
-        return (self._arrays[x.args[0]], x.value) if x.op == "item" else None
+        return (self.names[x.args[0]], x.value) if x.op == "item" else None
 
-    def _slice_of(self, row: list[Expr]) -> _Slice | None:
+    def _slice_of(self, row: list[Expr]) -> Arr | None:
         """Where expressions lie side by side in an array."""
         place = self._place(row[0])
         if place is None or any(self._place(x) != (place[0], place[1] + n) for n, x in enumerate(row)):
             return None
-        return _Slice(place[0], row[0].kind, place[1])
+        return _part(place[0], row[0].kind, place[1])
 
     def _runs(self, row: list[Expr]) -> Iterator[tuple[int, list[Expr]]]:
         """Expressions cut into those that lie side by side in one array, and single ones where these are few; each with the place
@@ -141,46 +132,47 @@ class Schedule:
             yield n, run
             n += len(run)
 
-    def _gathered(self, row: list[Expr]) -> _Slice:
+    def _gathered(self, row: list[Expr]) -> Arr:
         """Where expressions lie: in an array that holds them, a table where all are known, or a new one."""
         found = self._slice_of(row)
         if found is None and all(x.op == "const" for x in row):
             return self._table([x.value for x in row], row[0].kind)
         return found or self._filled("g", row)
 
-    def _filled(self, letter: str, row: list[Expr]) -> _Slice:
+    def _filled(self, letter: str, row: list[Expr]) -> Arr:
         """A new array of expressions."""
         kind = row[0].kind
         name = self._fresh(letter, kind, len(row))
         for n, run in self._runs(row):
             found = self._slice_of(run)
             if len(run) > 1 and found is not None:
-                self.body.append(self._loop(len(run), [Store(name, add(_I, const(n, "int")), found.at(_I))]))
+                self.body.append(
+                    self._loop(len(run), [Store(name, add(_I, const(n, "int")), _at(found, _I))])
+                )
             else:
                 self.body.append(Store(name, const(n, "int"), self._lowered(run[0])))
-        return _Slice(name, kind, 0)
+        return _part(name, kind)
 
-    def _table(self, numbers: Any, kind: str, name: str = "table") -> _Slice:
+    def _table(self, numbers: Any, kind: str, name: str = "table") -> Arr:
         array: np.ndarray[Any, Any] = np.asarray(numbers, DTYPES[kind])
         single = array.astype(np.float32)
         if kind == "double" and array.size >= MIN_TABLE and bool(np.all(single == array)):
             array = single
-        made = self._reader.table(array, name)
-        return _Slice(made.name, made.kind, 0)
+        return self._reader.table(array, name)
 
     def _operand(self, row: list[Expr]) -> nodes.Expr:
         """An operand in a loop over `i`."""
         if all(x is row[0] for x in row):
-            simple = row[0].op in ("const", "leaf", "item") or row[0] in self._names
+            simple = row[0].op in ("const", "leaf", "item") or row[0] in self.names
             return self._lowered(row[0]) if simple else self._variable(row[0])
-        return self._gathered(row).at(_I)
+        return _at(self._gathered(row), _I)
 
     def _block(self, block: Block) -> None:
         if block.op == "product":
             self._product(block)
             return
         operands = tuple(cast(self._operand(row), row[0].kind) for row in block.operands)
-        name = self._arrays[block] = self._fresh("v", block.kind, block.size)
+        name = self.names[block] = self._fresh("v", block.kind, block.size)
         value = nodes.Expr(block.op, block.kind, operands)
         self.body.append(self._loop(block.size, [Store(name, _I, value)]))
 
@@ -188,10 +180,10 @@ class Schedule:
         (row,), (rows, columns) = block.operands, block.matrix.shape
         operand = self._gathered(row)
         weights = self._table(block.matrix, block.kind, "weights")
-        name = self._arrays[block] = self._fresh("v", block.kind, rows)
+        name = self.names[block] = self._fresh("v", block.kind, rows)
         total = var(self._fresh("sum", block.kind), block.kind)
-        weight = cast(weights.at(add(mul(const(columns, "int"), _I), _J)), block.kind)
-        more = Assign(total.value, op("add", total, op("mul", weight, cast(operand.at(_J), block.kind))))
+        weight = cast(_at(weights, add(mul(const(columns, "int"), _I), _J)), block.kind)
+        more = Assign(total.value, op("add", total, op("mul", weight, cast(_at(operand, _J), block.kind))))
         inner: list[Statement] = [
             Assign(total.value, const(0, block.kind)),
             self._loop(columns, [more], _J),
@@ -201,36 +193,35 @@ class Schedule:
 
     def _call(self, call: Kernel) -> None:
         how = kernel_call(call, self._reader)
-        places: dict[int, _Slice] = {}
+        places: dict[int, Arr] = {}
         for place in {each for each in how.handed if isinstance(each, int)} | {*how.written}:
             before = call.before[place]
             if place in how.written:
                 places[place] = self._copied(before)
-                self._arrays[call.after[place]] = places[place].array
+                self.names[call.after[place]] = places[place].name
             else:
                 places[place] = self._slice_of(before) or self._filled("a", before)
         handed = [self._handed(each, places) for each in how.handed]
         self.body.append(Run(nodes.Expr("call", "int", tuple(handed), how.name)))
 
-    def _copied(self, row: list[Expr]) -> _Slice:
+    def _copied(self, row: list[Expr]) -> Arr:
         """A new array of expressions that may lie side by side in another one."""
         found = self._slice_of(row)
         if found is None:
             return self._filled("a", row)
         name = self._fresh("a", row[0].kind, len(row))
-        self.body.append(self._loop(len(row), [Store(name, _I, found.at(_I))]))
-        return _Slice(name, row[0].kind, 0)
+        self.body.append(self._loop(len(row), [Store(name, _I, _at(found, _I))]))
+        return _part(name, row[0].kind)
 
-    def _handed(self, each: Handed, places: dict[int, _Slice]) -> nodes.Expr:
+    def _handed(self, each: Handed, places: dict[int, Arr]) -> nodes.Expr:
         if isinstance(each, int):
-            place = places[each]
-            return nodes.Expr("address", place.kind, (const(place.start, "int"),), place.array)
+            return places[each].address
         if isinstance(each, MaskedRows):
             return self._reader.table(np.zeros(1, int)).address
         return self._lowered(each)
 
     # --- the end ----------------------------------------------------------------------------------------------------
-    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> list[Statement]:
+    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> Iterator[Statement]:
         """Stores, with neighbours from the same array together. What reads the state gets a variable first."""
         rows: dict[tuple[str, int], list[Expr]] = {}  # of neighbours, by the array and the index of the first
         for (name, index), x in assignments.items():
@@ -239,24 +230,17 @@ class Schedule:
                 rows[first].append(x)
             else:
                 rows[name, index] = [x]
-        stores: list[Statement] = []
         for (name, start), row in rows.items():
             array = name if name == "command" else self._state + name
             for n, run in self._runs(row):
                 x, place = run[0], const(start + n, "int")
                 if len(run) > 1:
-                    value = self._safe(run).at(_I)
-                    stores.append(self._loop(len(run), [Store(array, add(_I, place), value)]))
-                elif x.op in ("const", "item") or x in self._names:
-                    stores.append(Store(array, place, self._lowered(x)))
+                    in_state = x.op == "leaf" and x.value[0] != "measured"  # which is stored to
+                    value = _at(self._copied(run) if in_state else self._gathered(run), _I)
+                    yield self._loop(len(run), [Store(array, add(_I, place), value)])
                 else:
-                    stores.append(Store(array, place, self._variable(x)))
-        return stores
-
-    def _safe(self, run: list[Expr]) -> _Slice:
-        """Where expressions lie, which is not in the state that is stored to."""
-        in_state = run[0].op == "leaf" and run[0].value[0] != "measured"
-        return self._copied(run) if in_state else self._gathered(run)
+                    at_hand = x.op in ("const", "item") or x in self.names
+                    yield Store(array, place, self._lowered(x) if at_hand else self._variable(x))
 
 
 def _uses(roots: Iterable[Expr]) -> Counter[Any]:

@@ -18,7 +18,7 @@ from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
 
 from .c_printer import BINARY as IN_C
-from .c_printer import bare, identifier
+from .c_printer import bare, filled, identifier
 from .names import Names, pascal
 from .schedule import Schedule
 from .symbols import TraceError
@@ -27,8 +27,14 @@ from .tracing import GAIN, MEASURED, Program, divisors
 
 _TYPES = {"bool": "BOOL", "int": "DINT", "float": "REAL", "double": "LREAL"}
 _BINARY = IN_C | {"eq": "=", "ne": "<>", "and": "AND", "or": "OR"}
-_CALLED = {
-    "abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS", "max": "MAX", "min": "MIN",
+#: How operations are written, as `filled` takes it; tanh as 1 - 2 / (exp(2 x) + 1), which saturates without a division of
+#: infinities.
+_FORMS = {
+    **{op: f"({{0}} {sign} {{1}})" for op, sign in _BINARY.items()},
+    **{op: f"{op.upper()}({{inside}})" for op in ("abs", "sqrt", "exp", "sin", "cos", "max", "min")}, "log": "LN({inside})",
+    "load": "{value}[{inside}]", "neg": "(-{0})", "not": "(NOT {0})", "where": "SEL({bare[0]}, {bare[2]}, {bare[1]})",
+    "cast": "{given}_TO_{wanted}({inside})", "expm1": "(EXP({inside}) - {one})",
+    "tanh": "({one} - {two} / (EXP({two} * MIN(MAX({inside}, {least}), {most})) + {one}))",
 }  # fmt: skip
 #: The inputs of the block by the names of the field, and their units.
 INPUTS = {
@@ -50,7 +56,7 @@ def structured_text(program: Program, about: str) -> dict[str, str]:
     schedules = [Schedule(program.first, reader, "s_", "a"), Schedule(program.next, reader, "s_", "b")]
     names = Names((*INPUTS, *_OWN, *(name for name, _, _ in gains)))
     renamed = {"i": "Index", "measured": "Measured"} | {f"s_{old}[{n}]": name for name, (old, n), _ in gains}
-    renamed |= {f"s_{each.name}": names.new(pascal(each.name), "state") for each in program.state}
+    renamed |= {f"s_{each}": names.new(pascal(each), "state") for each in program.state}
     renamed |= {each.name: names.new(pascal(each.name), "table") for each in reader.tables.values()}
     variables, bodies = {"Index": ("int", 0), "Measured": ("double", len(MEASURED))}, []
     for schedule in schedules:
@@ -59,7 +65,7 @@ def structured_text(program: Program, about: str) -> dict[str, str]:
         bodies.append("\n".join("    " + _renamed(line, called) for line in _statements(schedule.body)))
     inputs = [f"    {each} : LREAL; (* {unit} *)\n" for each, unit in INPUTS.items()]
     inputs += [declared for _, _, declared in gains]
-    state = [f"    {renamed[f's_{each.name}']} : {_type(each.kind, each.size)};\n" for each in program.state]
+    state = [f"    {renamed[f's_{name}']} : {_type(*each)};\n" for name, each in program.state.items()]
     gathered = "".join(f"Given[{n}] := {each};\n" for n, each in enumerate(INPUTS))
     most = _literal(MAX_VALUE, "double")
     within = [f"ABS({name}) <= {most}" for name, _, _ in gains]
@@ -131,31 +137,12 @@ def _expression(x: Expr) -> str:
         return _literal(x.value, x.kind)
     if x.op == "var":
         return str(x.value)
-    texts = [_expression(each) for each in x.args]
-    inside = ", ".join(map(bare, texts))
-    one, two, limit = (_literal(number, x.kind) for number in (1.0, 2.0, 20.0))
-    if x.op in _BINARY:
-        return f"({texts[0]} {_BINARY[x.op]} {texts[1]})"
-    if x.op in _CALLED:
-        return f"{_CALLED[x.op]}({inside})"
-    match x.op:
-        case "load":
-            return f"{x.value}[{inside}]"
-        case "neg":
-            return f"(-{texts[0]})"
-        case "not":
-            return f"(NOT {texts[0]})"
-        case "cast":
-            return f"{_TYPES[x.args[0].kind]}_TO_{_TYPES[x.kind]}({inside})"
-        case "where":
-            return f"SEL({bare(texts[0])}, {bare(texts[2])}, {bare(texts[1])})"
-        case "tanh":
-            # 1 - 2 / (exp(2 x) + 1), which saturates without a division of infinities
-            limited = f"MIN(MAX({inside}, {_literal(-20.0, x.kind)}), {limit})"
-            return f"({one} - {two} / (EXP({two} * {limited}) + {one}))"
-        case "expm1":
-            return f"(EXP({inside}) - {one})"
-    raise TraceError(f"{x.op} has no Structured Text; export this controller as C")
+    if x.op not in _FORMS:
+        raise TraceError(f"{x.op} has no Structured Text; export this controller as C")
+    numbers = {"one": 1.0, "two": 2.0, "least": -20.0, "most": 20.0}
+    literals = {name: _literal(number, x.kind) for name, number in numbers.items()}
+    kinds = {"given": _TYPES[x.args[0].kind], "wanted": _TYPES[x.kind]}
+    return filled(_FORMS[x.op], x, map(_expression, x.args), **literals, **kinds)
 
 
 def _literal(value: float | int | bool, kind: str) -> str:

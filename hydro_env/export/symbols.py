@@ -227,6 +227,13 @@ def operate(op: str, args: Sequence[Expr]) -> Expr:
         return constant(_UFUNCS[op](*(DTYPES[x.kind](x.value) for x in operands)), kind)
 
 
+#: The place of an operand and its value at which an operation is the other operand.
+_NEUTRAL: dict[str, tuple[tuple[int, Any], ...]] = {
+    "mul": ((0, 1.0), (1, 1.0)), "div": ((1, 1.0),), "add": ((0, 0.0), (1, 0.0)), "sub": ((1, 0.0),),
+    "and": ((0, True), (1, True)), "or": ((0, False), (1, False)),
+}  # fmt: skip
+
+
 def _simpler(op: str, a: Sequence[Expr]) -> Expr | None:
     """What changes no finite number: factors of one and zero, sums with nothing; and what a known truth decides."""
     known = [x.known for x in a]
@@ -234,29 +241,21 @@ def _simpler(op: str, a: Sequence[Expr]) -> Expr | None:
         return a[2] if known[0] is False else a[1] if known[0] is True or a[1] is a[2] else None
     if None not in known:
         return None
-    if op == "mul" and known[0] == 1.0:
-        return a[1]
+    for place, neutral in _NEUTRAL.get(op, ()):
+        if known[place] == neutral:
+            return a[1 - place]
     if op == "mul" and 0.0 in known:  # what is multiplied is finite
         return constant(0.0, a[0].kind)
-    if op == "add" and 0.0 in known:
-        return a[1] if known[0] == 0.0 else a[0]
-    if op == "sub" and known[1] == 0.0:
-        return a[0]
     if op in ("add", "sub") and math.inf in (abs(known[0] or 0.0), abs(known[1] or 0.0)):
         return operate(op, [constant(x.known or 0.0, x.kind) for x in a])
-    if op in ("mul", "div") and known[1] == 1.0:
-        return a[0]
-    if op in ("and", "or") and (True in known or False in known):
-        decided = op == "or"
-        return constant(decided, "bool") if decided in known else a[1] if known[1] is None else a[0]
+    if op in ("and", "or") and (op == "or") in known:
+        return constant(op == "or", "bool")
     if op == "sub" and a[0] is a[1]:
         return constant(0.0, a[0].kind)
-    if op in ("max", "min") and a[0] is a[1]:
-        return a[0]
     if op in ("max", "min"):
         x, y = a if op == "max" else reversed(a)
         # The one that is never on the other's side, where their limits say so.
-        return a[0] if x.low >= y.high else a[1] if y.low >= x.high else None
+        return a[0] if x is y or x.low >= y.high else a[1] if y.low >= x.high else None
     return None
 
 
@@ -267,11 +266,9 @@ class MaskedRows:
     def __init__(self, mask: Expr) -> None:
         self.mask = mask
 
-    def __len__(self) -> int:
-        return 1
+    size = 1
 
-    @property
-    def size(self) -> int:
+    def __len__(self) -> int:
         return 1
 
 
@@ -294,9 +291,6 @@ class Guard:
 
 class Symbols(np.ndarray):
     """An array of expressions, all of one kind."""
-
-    def __array_finalize__(self, other: Any) -> None:
-        pass
 
     @property
     def kind(self) -> str:
@@ -359,7 +353,7 @@ class Symbols(np.ndarray):
             return _reduced(_BY_UFUNC[ufunc], inputs[0], more.get("axis", 0), more.get("keepdims", False))
         if method != "__call__" or where is not True:
             raise TraceError(f"numpy.{ufunc.__name__}.{method} cannot be followed")
-        result = _product(*inputs) if ufunc is np.matmul else _elementwise(ufunc, inputs)
+        result = _called(ufunc, inputs)
         if out is None:
             return result
         out[0][...] = result
@@ -442,13 +436,9 @@ def _extended(mask: Symbols, ndim: int) -> Symbols:
     return plain.reshape(plain.shape + (1,) * (ndim - plain.ndim)).view(Symbols)
 
 
-def _elementwise(ufunc: Any, inputs: Sequence[Any]) -> Any:
-    if ufunc is np.isfinite:
-        return _blockwise("lt", [_blockwise("abs", inputs), math.inf])
-    if ufunc in (np.power, np.square):
-        return _power(*inputs)
-    if ufunc is np.positive:
-        return inputs[0]
+def _called(ufunc: Any, inputs: Sequence[Any]) -> Any:
+    if ufunc in _FUNCTIONS:
+        return _FUNCTIONS[ufunc](*inputs)
     if ufunc not in _BY_UFUNC:
         raise TraceError(f"numpy.{ufunc.__name__} cannot be followed")
     return _blockwise(_BY_UFUNC[ufunc], inputs)
@@ -494,11 +484,9 @@ def _product(a: Any, b: Any) -> Symbols:
     matrix, plain = np.asarray(b), a.view(np.ndarray)
     weights, size = np.ascontiguousarray(matrix.T), matrix.shape[1]
     (kind, _), _ = _promoted("mul", (a.kind, kind_of(matrix.dtype)))
-    made: list[Expr] = []
-    for row in plain.reshape(-1, plain.shape[-1]):
-        block = Block("product", kind, [_cast_row(list(row), kind)], size, weights)
-        made += [item(block, n) for n in range(size)]
-    return symbols(made, (*plain.shape[:-1], size))
+    rows = [_cast_row(list(row), kind) for row in plain.reshape(-1, plain.shape[-1])]
+    blocks = [Block("product", kind, [row], size, weights) for row in rows]
+    return symbols((item(block, n) for block in blocks for n in range(size)), (*plain.shape[:-1], size))
 
 
 def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
@@ -512,10 +500,6 @@ def _reduced(op: str, array: Any, axis: Any, keepdims: bool = False) -> Any:
 def _mean(array: Any, axis: Any = None, keepdims: bool = False, **more: Any) -> Any:
     total = _reduced("add", array, axis, keepdims)
     return _blockwise("div", [total, array.size // max(1, total.size)])
-
-
-def _clip(array: Any, low: Any, high: Any, out: Any = None) -> Any:
-    return np.minimum(np.maximum(array, low), high, out=out)
 
 
 def _copyto(to: Symbols, value: Any, where: Any = True) -> None:
@@ -553,7 +537,10 @@ def _sort(array: Any, axis: int = -1) -> Symbols:
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
-    np.where: lambda *inputs: _blockwise("where", inputs), np.clip: _clip, np.mean: _mean, np.copyto: _copyto,
+    np.where: lambda *inputs: _blockwise("where", inputs), np.mean: _mean, np.copyto: _copyto,
+    np.clip: lambda array, low, high, out=None: np.minimum(np.maximum(array, low), high, out=out),
     np.zeros_like: partial(_filled, 0.0), np.ones_like: partial(_filled, 1.0), np.empty_like: partial(_filled, 0.0),
-    np.take_along_axis: _take_along_axis, np.flatnonzero: _flatnonzero, np.sort: _sort,
+    np.take_along_axis: _take_along_axis, np.flatnonzero: _flatnonzero, np.sort: _sort, np.matmul: _product,
+    np.isfinite: lambda x: _blockwise("lt", [_blockwise("abs", [x]), math.inf]), np.positive: lambda x: x,
+    np.power: _power, np.square: _power,
 }  # fmt: skip

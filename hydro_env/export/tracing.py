@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import inspect
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -52,18 +53,10 @@ _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
 
 @dataclass
-class StateArray:
-    """An array that is kept between samples."""
-
-    name: str
-    kind: str
-    size: int
-
-
-@dataclass
 class Program:
     """What a controller does with a sample: at the first one, and at all others.
 
+    `state`: the arrays that are kept between samples, by name with their kind and size.
     `first` and `next` map (array, index) of the state, and ("command", 0 or 1), to expressions of the measurements
     ("measured", n), of the `gains` that are inputs (`GAIN` and the name, n), and of the state before. Elements of the state that
     are not in `next` keep their value. `names`: what the controller's own variables are called, and which element of them it is.
@@ -73,7 +66,7 @@ class Program:
     period: float
     gains: list[tuple[Gain, list[float]]] = field(default_factory=list)
     names: dict[Expr, tuple[str, int]] = field(default_factory=dict)
-    state: list[StateArray] = field(default_factory=list)
+    state: dict[str, tuple[str, int]] = field(default_factory=dict)
     first: dict[tuple[str, int], Expr] = field(default_factory=dict)
     next: dict[tuple[str, int], Expr] = field(default_factory=dict)
 
@@ -136,7 +129,6 @@ class _Recorder:
             after = call.after[place] = Items(call, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
             array.view(np.ndarray)[...] = made.view(np.ndarray)
-        return None
 
 
 def _parts(value: Any) -> Iterator[Symbols | MaskedRows]:
@@ -165,10 +157,10 @@ def _copies(own: set[str]) -> Copies:
 
 
 # --- the state ---------------------------------------------------------------------------------------------------------
-def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> None:
-    """All arrays of expressions, and all plain values, below an object, by their path."""
+def _leaves(value: Any, path: str, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    """All arrays of expressions, and all plain values, below an object, with their path."""
     if isinstance(value, np.ndarray | np.generic | str | int | float | bool | type(None)):
-        found[path] = value
+        yield path, value
         return
     if id(value) in seen or isinstance(value, type) or (callable(value) and not hasattr(value, "__dict__")):
         return
@@ -179,13 +171,12 @@ def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> Non
     elif isinstance(value, list | tuple):
         inner = zip(getattr(value, "_fields", range(len(value))), value, strict=True)
     for key, each in inner:
-        _leaves(each, f"{path}.{key}", found, seen)
+        yield from _leaves(each, f"{path}.{key}", seen)
 
 
 def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
     """The arrays of expressions of a controller by path, and its plain values."""
-    found: dict[str, Any] = {}
-    _leaves(controller, "", found, set())
+    found = dict(_leaves(controller, "", set()))
     arrays = {path: each for path, each in found.items() if isinstance(each, Symbols)}
     plain = {path: each for path, each in found.items() if not isinstance(each, Symbols | np.ndarray)}
     return arrays, plain
@@ -221,22 +212,23 @@ def trace(
         if gains and isinstance(getattr(controller, "gains", None), dict):
             program.gains = _gains_as_inputs(controller)
         program.first = _commands(_sample(controller, rig))
-        kept = _kept_by(controller)
         settled = _settled(controller, rig)
-        if {path for path, _ in kept} != set(_arrays(settled)[0]):
+        if _arrays(controller)[0].keys() != _arrays(settled)[0].keys():
             raise TraceError("what it keeps between samples changes its form after the first one")
+        named = _paths_by_name(settled)
+        kept = _kept_by(controller, named)
         changing = {key for key, each in kept.items() if each.op != "const" and not _of_gains_only(each)}
         while True:
             again = copy.deepcopy(settled)
-            names = _as_state(again, changing, kept)
+            _as_state(again, named, {key: each for key, each in kept.items() if key not in changing})
             program.next = _commands(_sample(again, rig))
-            after = _kept_by(again)
+            after = _kept_by(again, named)
             more = {key for key, each in after.items() if key not in changing and each is not kept[key]}
             if not more:
                 break
             changing |= more
         _check_settled(again, rig)
-    _fill(program, kept, after, changing, names)
+    _fill(program, kept, after, changing)
     return program
 
 
@@ -288,33 +280,19 @@ def _of_gains_only(x: Expr) -> bool:
     return {name[: len(GAIN)] for name, _ in _leaves_of([x])} == {GAIN}
 
 
-def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
-    arrays, _ = _arrays(controller)
-    return {(path, n): each for path, array in arrays.items() for n, each in enumerate(array.elements())}
-
-
 def _settled(controller: Any, rig: Scales) -> Any:
     """The controller some samples later, when the same arrays are the same objects from sample to sample: at the beginning a
     history may hold one array several times."""
-    before: list[list[str]] = []
+    before: dict[str, list[str]] = {}
     for _ in range(MAX_SAMPLES):
         controller = copy.deepcopy(controller)
-        kept = _kept_by(controller)
-        _as_state(controller, set(kept), kept)
+        _as_state(controller, _paths_by_name(controller), {})
         _sample(controller, rig)
-        now = list(_together(controller).values())
+        now = _paths_by_name(controller)
         if now == before:
             return controller
         before = now
     raise TraceError(f"what it keeps between samples has not settled after {MAX_SAMPLES} samples")
-
-
-def _together(controller: Any) -> dict[int, list[str]]:
-    """Paths that lead to the same array."""
-    groups: dict[int, list[str]] = {}
-    for path, array in _arrays(controller)[0].items():
-        groups.setdefault(id(array), []).append(path)
-    return groups
 
 
 def _c_name(path: str) -> str:
@@ -323,27 +301,39 @@ def _c_name(path: str) -> str:
     return "_".join(word for word in words if word not in ("law", "state")) or "state"
 
 
-def _as_state(
-    controller: Any, changing: set[tuple[str, int]], kept: dict[tuple[str, int], Expr]
-) -> dict[str, str]:
-    """Puts leaves in the place of what changes, else what was there after the first sample; the names of the arrays by path."""
-    arrays, _ = _arrays(controller)
-    names: dict[str, str] = {}
-    for paths in _together(controller).values():
-        path, array = paths[0], arrays[paths[0]]
-        name = _c_name(path)
-        while name in ("measured", "command", *names.values()):  # the first two are inputs and outputs
+def _paths_by_name(controller: Any) -> dict[str, list[str]]:
+    """The paths that lead to each array of expressions, by the name that it gets."""
+    groups: dict[int, list[str]] = {}
+    for path, array in _arrays(controller)[0].items():
+        groups.setdefault(id(array), []).append(path)
+    found: dict[str, list[str]] = {}
+    for paths in groups.values():
+        name = _c_name(paths[0])
+        while name in ("measured", "command", *found):  # the first two are inputs and outputs
             name += "2"
-        plain: Any = array.view(np.ndarray)
+        found[name] = paths
+    return found
+
+
+def _kept_by(controller: Any, named: dict[str, list[str]]) -> dict[tuple[str, int], Expr]:
+    """What the arrays hold, by their name and the place in them. TraceError where a name stands for several arrays."""
+    held = {path: array.elements() for path, array in _arrays(controller)[0].items()}
+    for first, *others in named.values():
+        for other in others:
+            if held[other] != held[first]:
+                both = f"{other.strip('.')} and {first.strip('.')}"
+                raise TraceError(f"{both} are the same array in some samples only")
+    return {(name, n): each for name, paths in named.items() for n, each in enumerate(held[paths[0]])}
+
+
+def _as_state(controller: Any, named: dict[str, list[str]], fixed: dict[tuple[str, int], Expr]) -> None:
+    """Puts leaves in the place of what changes, and what is `fixed` in its own."""
+    arrays, _ = _arrays(controller)
+    for name, paths in named.items():
+        plain: Any = arrays[paths[0]].view(np.ndarray)
         for n, place in enumerate(np.ndindex(plain.shape)):
-            here = {(each, n) for each in paths}
-            if here & changing:
-                changing |= here
-                plain[place] = leaf(name, n, plain[place].kind)
-            else:
-                plain[place] = kept[path, n]
-        names |= dict.fromkeys(paths, name)
-    return names
+            here = name, n
+            plain[place] = fixed[here] if here in fixed else leaf(name, n, plain[place].kind)
 
 
 def _check_settled(controller: Any, rig: Scales) -> None:
@@ -364,27 +354,18 @@ def _leaves_of(roots: Iterable[Expr]) -> set[tuple[str, int]]:
 
 def _fill(
     program: Program, kept: dict[tuple[str, int], Expr], after: dict[tuple[str, int], Expr],
-    changing: set[tuple[str, int]], names: dict[str, str],
+    changing: set[tuple[str, int]],
 ) -> None:  # fmt: skip
     """State and assignments of the program, without what no command depends on."""
-    by_name: dict[tuple[str, int], tuple[str, int]] = {}
-    for path, n in sorted(changing):
-        other = by_name.setdefault((names[path], n), (path, n))
-        if kept[other] is not kept[path, n] or after[other] is not after[path, n]:
-            both = f"{path.strip('.')} and {other[0].strip('.')}"
-            raise TraceError(f"{both} are the same array in some samples only")
     needed: set[tuple[str, int]] = set()
-    found = _leaves_of(program.next.values()) & by_name.keys()
+    found = _leaves_of(program.next.values()) & changing
     while found - needed:
         needed |= found
-        found = _leaves_of(after[by_name[key]] for key in needed) & by_name.keys()
-    for path, name in names.items():
-        mine = [n for (own, n) in needed if own == name]
-        if not mine or any(each.name == name for each in program.state):
-            continue
-        size = max(n for p, n in kept if p == path) + 1
-        program.state.append(StateArray(name, kept[path, mine[0]].kind, size))
-        for n in sorted(mine):
-            program.first[name, n] = kept[path, n]
-            if not (after[path, n].op == "leaf" and after[path, n].value == (name, n)):
-                program.next[name, n] = after[path, n]
+        found = _leaves_of(after[key] for key in needed) & changing
+    sizes = Counter(name for name, _ in kept)
+    for (name, n), first in kept.items():
+        if (name, n) in needed:
+            program.state[name] = first.kind, sizes[name]
+            program.first[name, n] = first
+            if not (after[name, n].op == "leaf" and after[name, n].value == (name, n)):
+                program.next[name, n] = after[name, n]

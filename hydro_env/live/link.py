@@ -32,7 +32,7 @@ are those of a rig log. A number that is absent or not finite, or an OPC UA stat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -215,18 +215,16 @@ class Link(FileTable):
         `frozen_after`."""
         return self.watchdog_s + 2.0 * self.cycle_s
 
-    def warnings(self, limit: float) -> list[str]:
+    def warnings(self, limit: float) -> Iterator[str]:
         """Lines that an operator should read first. `limit`: the largest command, as a share of the rated one."""
-        found = [
-            f"commands up to {100.0 * limit:g} % of the rated ones, {100.0 * self.rate_limit:g} % a second",
-            f"zero within {self.stop_s:g} s of a fault; of a speed that is frozen within {self.stop_s:g} s after "
-            f"{max(self.frozen_after(f'speed_{c}') for c in (1, 2)):g} s",
-        ]
+        yield f"commands up to {100.0 * limit:g} % of the rated ones, {100.0 * self.rate_limit:g} % a second"
+        frozen = max(self.frozen_after(f"speed_{c}") for c in (1, 2))
+        end = f"{self.stop_s:g} s"
+        yield f"zero within {end} of a fault; of a speed that is frozen within {end} after {frozen:g} s"
         if not self.heartbeat:
-            found.append("no heartbeat: the rig cannot tell when this program or the network is gone")
+            yield "no heartbeat: the rig cannot tell when this program or the network is gone"
         if not self.count:
-            found.append("no count: a program of the rig that has stopped shows only in frozen signals")
-        return found
+            yield "no count: a program of the rig that has stopped shows only in frozen signals"
 
     def sample(self, raw: Mapping[str, Any]) -> Sample:
         """What came from the rig, by name, as a sample."""

@@ -48,8 +48,7 @@ class Run:
         self.duration = np.inf if duration is None else duration
         played = ["setpoint"] if driver.setpoint else []
         self._log_of = lambda: Log(out, {*link.inputs, *played}, rated_V)
-        self.stop = threading.Event()
-        """Ends the run, from any thread."""
+        self.stop = threading.Event()  # ends the run, from any thread
         self._beat, self._cycle, self._behind = 0, 0, 0.0
         self._began: float | None = None  # by the rig's clock, if it has one, as the next
         self._first: float | None = None
@@ -68,8 +67,7 @@ class Run:
         except OSError as problem:
             with suppress(OSError):
                 await transport.close()
-            told = problem.strerror or str(problem) or "no answer"
-            raise InputError(f"{self.link.address}: cannot be reached: {told}") from None
+            raise InputError(f"{self.link.address}: cannot be reached: {_said(problem)}") from None
         self.log = self._log_of()
         self.told(f"log: {self.log.path}")
         self._born = time.monotonic()
@@ -148,8 +146,7 @@ class Run:
 
     async def _lost(self, transport: Transport, problem: OSError) -> None:
         """A fault; and the rig is called again, so that it gets its zero."""
-        told = problem.strerror or str(problem) or "no answer in time"
-        self.supervisor.fail(time.monotonic(), f"connection lost: {told}")
+        self.supervisor.fail(time.monotonic(), f"connection lost: {_said(problem)}")
         self._tell()
         await transport.close()
         with suppress(OSError, InputError):
@@ -179,6 +176,10 @@ class Run:
             self._shown = supervisor.state
             self.log.event(state=supervisor.state, cause=supervisor.cause, after_s=round(now - self._born, 3))
             self.told(f"{supervisor.state}{': ' * bool(supervisor.cause)}{supervisor.cause}")
+
+
+def _said(problem: OSError) -> str:
+    return problem.strerror or str(problem) or "no answer in time"
 
 
 class _Worker:

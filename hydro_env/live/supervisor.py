@@ -48,8 +48,7 @@ class Supervisor:
         self.state, self.cause = State.WAITING, ""
         self.command: Floats = np.zeros(2)
         self.deadline = now + PATIENCE
-        self.ended = math.inf
-        """When the run ended."""
+        self.ended = math.inf  # when the run ended
         self._good, self._begun = 0, now
         self._arrived = self._moved = now
         self._count: float | None = None
@@ -63,18 +62,17 @@ class Supervisor:
         return self.state in (State.FAULT, State.STOPPED)
 
     def fail(self, now: float, cause: object) -> None:
-        """A fault. The first one's cause is kept."""
-        if not self.over:
-            self._end(now, State.FAULT)
-            self.cause = str(InputError(cause))  # one line
+        """A fault."""
+        self._end(now, State.FAULT, str(InputError(cause)))  # one line
 
     def stop(self, now: float) -> None:
         """The end of a run without a fault."""
-        if not self.over:
-            self._end(now, State.STOPPED)
+        self._end(now, State.STOPPED)
 
-    def _end(self, now: float, state: State) -> None:
-        self.state, self.command, self.ended = state, np.zeros(2), min(self.ended, now)
+    def _end(self, now: float, state: State, cause: str = "") -> None:
+        """The first end of a run is kept, with its cause."""
+        if not self.over:
+            self.state, self.cause, self.command, self.ended = state, cause, np.zeros(2), now
 
     # --- samples --------------------------------------------------------------------------------------------------
     def see(self, now: float, sample: Sample | None) -> bool:
@@ -125,15 +123,12 @@ class Supervisor:
             elif not low <= value <= high:
                 self.fail(now, f"{key} is {source.shown(value)}, its range is {source.said}")
             last, since = self._repeated.get(key, (math.nan, now))
-            if value != last or not self._driven(key):
+            driven = key[-1] in "12" and self.command[int(key[-1]) - 1] != 0.0  # its channel has a command
+            if value != last or not driven:
                 since = now
             elif now - since > (most := self.link.frozen_after(key)):
                 self.fail(now, f"{key} is frozen: {source.shown(value)} for {most:g} s under command")
             self._repeated[key] = value, since
-
-    def _driven(self, key: str) -> bool:
-        """Whether the channel of a signal has a command."""
-        return key[-1] in "12" and self.command[int(key[-1]) - 1] != 0.0
 
     def _wait(self, now: float, sample: Sample) -> None:
         clock = now if sample.time is None else sample.time
@@ -153,12 +148,9 @@ class Supervisor:
         if self.state is not State.RUNNING:
             return
         try:
-            shares = np.asarray(wanted, dtype=float).reshape(2)
+            shares = np.asarray_chkfinite(wanted, dtype=float).reshape(2)
         except (TypeError, ValueError):
-            self.fail(now, f"the controller gave {shown(wanted)}, expected two commands")
-            return
-        if not np.isfinite(shares).all():
-            self.fail(now, "the controller gave a command that is not finite")
+            self.fail(now, f"the controller gave {shown(wanted)}, expected two commands that are finite")
             return
         step = self.link.rate_limit * min(now - self._moved, LATE * self.link.cycle_s)
         bounded = np.clip(shares, -self.limit, self.limit)

@@ -85,17 +85,16 @@ class OpcUa:
         import asyncua
 
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # whatever happens is told here
-        self._ua, self._link = asyncua.ua, link
+        self._asyncua, self._ua, self._link = asyncua, asyncua.ua, link
         self._client: Any = None
-        self._make = lambda: asyncua.Client(link.address, timeout=max(1.0, link.watchdog_s))
         self._next, self._count = 0.0, None
         self._reading: asyncio.Task[Mapping[str, Any]] | None = None
 
     async def open(self, patience: float) -> None:
-        self._client = self._make()
+        link, ua = self._link, self._ua
+        self._client = self._asyncua.Client(link.address, timeout=max(1.0, link.watchdog_s))
         with _connection():
             await _within(self._client.connect(), patience)
-            link, ua = self._link, self._ua
             outputs = [*(each.name for each in link.commands), *filter(None, [link.heartbeat])]
             nodes = {}
             for name in [*link.names, *outputs]:

@@ -80,7 +80,9 @@ def _cluster() -> tuple[Any, bool]:
         return ray, False
     address = os.environ.get("RAY_ADDRESS", "").removeprefix("auto")
     try:
-        _knock(address or _started_here())
+        # The address that `ray start` left here; an OSError if there is none.
+        left = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
+        _knock(address or left.read_text(encoding="utf-8").strip())
         ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
     except Exception as problem:  # ConnectionError, RuntimeError, ValueError: as many as ways to fail
         ray.shutdown()
@@ -89,12 +91,6 @@ def _cluster() -> tuple[Any, bool]:
             f"engine ray: no Ray cluster answers{where}; start one with `ray start --head`, or name one in RAY_ADDRESS"
         ) from problem
     return ray, True
-
-
-def _started_here() -> str:
-    """The address that `ray start` left here. OSError if there is none."""
-    folder = os.environ.get("RAY_TMPDIR", "/tmp")
-    return Path(folder, "ray", "ray_current_cluster").read_text(encoding="utf-8").strip()
 
 
 def _knock(address: str) -> None:

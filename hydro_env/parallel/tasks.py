@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+#: How often a task is started whose process dies.
 ATTEMPTS = 3
-"""How often a task is started whose process dies."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from ..errors import InputError
 from ..plant import CATALOGUE
 from .generate import Practice, make_practice
 from .hidden import parse_values
-from .manoeuvres import RUNS
 
 
 def run(
@@ -22,21 +21,13 @@ def run(
     `values` are words "effect.parameter=value"; `none` (--none) hides nothing and must be given when no effect is named;
     `settings` as in `PracticeSettings`.
     """
-    from tqdm import tqdm
-
     if none and effects:
         raise InputError(f"--none hides nothing, yet {effects[0]!r} is named; leave one of them out")
     if not none and not effects:
         raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
-    with tqdm(total=len(RUNS), unit="log", leave=False, delay=0.5) as bar:
-
-        def begin(name: str) -> None:
-            bar.update(1 if bar.desc else 0)  # the one before is done
-            bar.set_description(name)
-
-        practice = make_practice(
-            effects, model=model, values=parse_values(values), base_error=base_error_percent / 100.0, progress=begin,
-            **settings,
-        )  # fmt: skip
+    base_error = base_error_percent / 100.0
+    practice = make_practice(
+        effects, model=model, values=parse_values(values), base_error=base_error, progress=True, **settings
+    )
     practice.write(Path(out))
     return practice

@@ -19,30 +19,27 @@ its own equations, so such a log shows that an effect can be found, not that it 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from tqdm import tqdm
 
 from ..errors import InputError, check_known
-from ..files import write_text
+from ..files import write_json, write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
-from .manoeuvres import ROUND, RUNS
+from .manoeuvres import ROUND, RUNS, Array
 from .played import plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
 
 __all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
-
-Array = NDArray[np.float64]
 
 SCHEMA = "hydro_env/truth/1"
 #: The log of commands from a file.
@@ -123,29 +120,25 @@ class Practice:
 
     def write(self, out: Path) -> None:
         """Writes the logs, model.yaml and truth.json into the folder `out`, which is made if need be."""
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{out}: cannot make this folder: {error.strerror}") from None
+        out.mkdir(parents=True, exist_ok=True)
         kinds = columns_of(scales_of(self.given))
         texts = {f"{name}.csv": log_text(columns, kinds) for name, columns in self.logs.items()}
         sums = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        truth = {**self.truth, "log_sha256": sums}
         for name, text in texts.items():
             write_text(out / name, text)
         self.given.to_yaml(out / "model.yaml")
-        write_text(out / "truth.json", json.dumps(truth, indent=1) + "\n")
+        write_json(out / "truth.json", {**self.truth, "log_sha256": sums})
 
 
 def make_practice(
     effects: Iterable[str] | Mapping[str, str] = (), *, model: str | Path | PlantModel = "paper",
-    progress: Callable[[str], None] | None = None, **settings: Any,
+    progress: bool = False, **settings: Any,
 ) -> Practice:  # fmt: skip
     """Makes practice logs of a rig with hidden effects.
 
     effects   "NAME" or "NAME:CHANNEL" (channel 1, 2 or both), or {name: channel}; none: nothing is hidden
     model     the model an engineer has: preset, YAML file or model
-    progress  called with the name of each log as it is begun
+    progress  whether to show a bar
     settings  fields of `PracticeSettings`
 
     InputError in one line for anything unknown or out of range.
@@ -158,20 +151,19 @@ def make_practice(
     check_values(own.values, chosen, given)
     duration = round(ROUND * stretch_of(given), 1) if own.duration is None else own.duration
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
-    hidden = choose(given, chosen, own.values, own.severity, duration, np.random.default_rng(size_seed))
+    sizes = np.random.default_rng(size_seed)
+    hidden = tuple(choose(given, chosen, own.values, own.severity, duration, sizes))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
     drawn = scaled(draw(np.random.default_rng(form_seed)), scales_of(given))
     constants = drawn if forms == "different" else None
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
     recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, duration)
-    logs = {}
     if own.play is not None:
-        logs[PLAYED] = _played(own, given, recorder)
-    for name, seeds in zip(RUNS, run_seeds, strict=True):
-        if name in own.runs and own.play is None:
-            if progress is not None:
-                progress(name)
-            logs[name] = recorder.log(name, seeds)
+        logs = {PLAYED: _played(own, given, recorder)}
+    else:
+        chosen_runs = [(name, seeds) for name, seeds in zip(RUNS, run_seeds, strict=True) if name in own.runs]
+        bar = tqdm(chosen_runs, unit="log", leave=False, delay=0.5, disable=not progress)
+        logs = {name: recorder.log(name, seeds) for name, seeds in bar}
     truth = {
         "schema": SCHEMA,
         "verdict": "effects" if hidden else ("calibration" if wrong else "none"),

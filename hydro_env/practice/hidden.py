@@ -8,13 +8,14 @@ shape, not size, is drawn as well. None of it is taken from what a diagnosis ass
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, check_known
+from ..limits import Limits
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
 
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
@@ -34,11 +35,6 @@ class Hidden:
     name: str
     channel: str
     parameters: Mapping[str, float]
-
-    @property
-    def acts_on(self) -> tuple[bool, bool]:
-        """Whether it acts on channels 1 and 2."""
-        return self.channel != "2", self.channel != "1"
 
 
 # --- the words of the command -----------------------------------------------------------------------------------------
@@ -101,10 +97,8 @@ def check_values(values: Mapping[str, float], effects: Mapping[str, str], given:
         known = {p.name: p for p in _usual(given, name, effects[name]).parameters}
         check_known(f"{key}: effect {name!r} has no parameter", [own], known)
         p = known[own]
-        if value != p.nominal and not p.low <= value <= p.high:
-            raise InputError(
-                f"{key}: {value:g} {p.unit} is out of range; expected {p.low:g} to {p.high:g} {p.unit}"
-            )
+        if value != p.nominal:
+            Limits(p.low, p.high, unit=p.unit).check(value, key)
 
 
 # --- drawing ----------------------------------------------------------------------------------------------------------
@@ -167,23 +161,21 @@ def _draw(effect: Effect, severity: str, duration: float, rng: np.random.Generat
 def choose(
     given: PlantModel, effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float,
     rng: np.random.Generator,
-) -> tuple[Hidden, ...]:  # fmt: skip
+) -> Iterator[Hidden]:  # fmt: skip
     """What is hidden in a rig like `given`: `effects` {name: channel} with drawn parameters, but for the `values`
     {effect.parameter: SI}.
 
     InputError if an effect would be neutral.
     """
-    hidden = []
     for name, channel in effects.items():
-        explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         # Everything is drawn, so that an explicit value changes no other one.
-        chosen = {**_draw(_usual(given, name, channel), severity, duration, rng), **explicit}
+        chosen = _draw(_usual(given, name, channel), severity, duration, rng)
+        chosen |= {own: values[key] for own in chosen if (key := f"{name}.{own}") in values}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
             )
-        hidden.append(Hidden(name, channel, chosen))
-    return tuple(hidden)
+        yield Hidden(name, channel, chosen)
 
 
 # --- the rig ----------------------------------------------------------------------------------------------------------
@@ -191,31 +183,28 @@ def true_model(
     given: PlantModel, hidden: Sequence[Hidden], base_error: float, rng: np.random.Generator
 ) -> tuple[PlantModel, dict[str, Any]]:
     """The model that makes the logs, and what is wrong with the base parameters of the given one."""
-    changed: dict[str, tuple[float, float]] = {}
-    wrong: dict[str, Any] = {}
-    for name in UNCERTAIN:
-        factors = 1.0 + base_error * rng.uniform(-1.0, 1.0, 2)  # drawn always: a seed means the same rig
-        if base_error == 0.0:
-            continue
-        p = PARAMETERS[name]
-        old = given.pair(name)
-        new = tuple(min(max(v * f, min(p.low, v)), max(p.high, v)) for v, f in zip(old, factors, strict=True))
-        changed[name] = new
-        for c in (0, 1):
-            wrong[f"{name}_{c + 1}"] = {"nominal": old[c], "value": new[c], "unit": p.unit}
+    changed: dict[str, list[float]] = {}
+    for name in UNCERTAIN if base_error else ():
+        p, old = PARAMETERS[name], np.array(given.pair(name))
+        new = old * (1.0 + base_error * rng.uniform(-1.0, 1.0, 2))
+        changed[name] = np.clip(new, np.minimum(p.low, old), np.maximum(p.high, old)).tolist()
     if changed:
         # Static friction is never below sliding friction.
-        changed["Fs"] = tuple(max(s, c) for s, c in zip(changed["Fs"], changed["Fc"], strict=True))  # type: ignore[assignment]
-        for c in (0, 1):
-            wrong[f"Fs_{c + 1}"]["value"] = changed["Fs"][c]
+        changed["Fs"] = list(map(max, changed["Fs"], changed["Fc"]))
+    wrong = {
+        f"{name}_{c + 1}": {"nominal": given.value(name, c), "value": new[c], "unit": PARAMETERS[name].unit}
+        for name, new in changed.items()
+        for c in (0, 1)
+    }
     true = given.with_values(changed, name="rig")
     for h in hidden:
+        acts_on = h.channel != "2", h.channel != "1"
         for c, acts in enumerate(given.effects.get(h.name, ())):
-            if h.acts_on[c] and not CATALOGUE[h.name].is_neutral(acts):
+            if acts_on[c] and not CATALOGUE[h.name].is_neutral(acts):
                 raise InputError(
                     f"{h.name}: model {given.name!r} has this effect on channel {c + 1} already; "
                     "hide another effect, or begin with a model without this one"
                 )
         values = {f"{h.name}.{own}": value for own, value in h.parameters.items()}
-        true = true.with_values({n: np.where(h.acts_on, v, true.pair(n)) for n, v in values.items()})
+        true = true.with_values({n: np.where(acts_on, v, true.pair(n)) for n, v in values.items()})
     return true, wrong

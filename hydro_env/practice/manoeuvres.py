@@ -13,9 +13,9 @@ values, a shorter one the beginning of the first.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ Stream = np.random.Generator
 ROUND = 12.0
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """What one channel is asked to do: `value` is a set-point in rpm where `closed`, else a fraction of the rated command;
     `load` is in N m. Each (T,), one row for a control period."""
 
@@ -41,8 +40,7 @@ class Plan:
     @staticmethod
     def join(parts: Iterable[Plan]) -> Plan:
         """One after the other."""
-        rows = list(parts)
-        return Plan(*(np.concatenate([getattr(p, n) for p in rows]) for n in ("value", "closed", "load")))
+        return Plan(*map(np.concatenate, zip(*parts, strict=True)))
 
     def scaled(self, speed: float, torque: float) -> Plan:
         """The same with set-points and loads times as large."""
@@ -56,10 +54,6 @@ class Plan:
             step = setpoint if closed else command
             value[n] = now = now + min(max(wanted - now, -step), step)
         return Plan(value, self.closed, self.load)
-
-    def first(self, rows: int) -> Plan:
-        """The beginning of it."""
-        return Plan(self.value[:rows], self.closed[:rows], self.load[:rows])
 
 
 # --- profiles: arrays over a number of periods ---------------------------------------------------------------------------
@@ -97,13 +91,6 @@ def _sign(rng: Stream) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _both_ways(rng: Stream, low: float, high: float, sizes: int) -> Array:
-    """Sizes from low to high (log-uniform within equal parts of that range), each with both signs, in random order."""
-    places = (np.arange(sizes) + rng.random(sizes)) / sizes
-    found = low * (high / low) ** places
-    return rng.permutation(np.concatenate([found, -found]))
-
-
 # --- parts of the valve bench: fractions of the rated command ------------------------------------------------------------
 def _slow_triangle(rng: Stream, rows: int, dt: float) -> Plan:
     return _open(_triangle(0.0, _sign(rng) * rng.uniform(0.45, 0.9), 1.0, rows))
@@ -114,8 +101,10 @@ def _fast_triangle(rng: Stream, rows: int, dt: float) -> Plan:
 
 
 def _steps(rng: Stream, rows: int, dt: float) -> Plan:
-    """Steps of many sizes both ways, every third back to zero."""
-    sizes = _both_ways(rng, 0.08, 0.9, 4)
+    """Steps of many sizes both ways in random order, every third back to zero. Sizes are log-uniform within equal parts of their
+    range."""
+    sizes = 0.08 * (0.9 / 0.08) ** ((np.arange(4) + rng.random(4)) / 4)
+    sizes = rng.permutation(np.concatenate([sizes, -sizes]))
     return _open(_hold(np.insert(sizes, [2, 4, 6, 8], 0.0), rows))
 
 
@@ -215,15 +204,15 @@ RUNS: dict[str, Callable[[Stream, Stream, float], Plan]] = {
 }  # fmt: skip
 
 
-def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> list[Plan]:
+def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> Iterator[Plan]:
     """The plan of each channel in a run of `RUNS` of `steps` control periods of `dt` s."""
     shared, *own = seeds.spawn(3)
-    found = []
-    for side in (0, 1):
-        # The shared stream starts again for each channel: both draw the same from it.
-        common, alone = np.random.default_rng(shared), np.random.default_rng(own[side])
+    for alone in map(np.random.default_rng, own):
+        common = np.random.default_rng(
+            shared
+        )  # from its beginning for each channel: both draw the same from it
         rounds = [RUNS[run](common, alone, dt)]
         while sum(r.value.size for r in rounds) < steps:
             rounds.append(RUNS[run](common, alone, dt))
-        found.append(Plan.join(rounds).first(steps))
-    return found
+        whole = Plan.join(rounds)
+        yield Plan(whole.value[:steps], whole.closed[:steps], whole.load[:steps])

@@ -21,11 +21,9 @@ from ..plant import Plant, PlantModel, Scales, scales_of
 from ..plant.scales import PAPER, rated, swing
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
-from .manoeuvres import Plan, plans
+from .manoeuvres import Array, Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
-
-Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.01  # s
 #: Time from standstill to the full command for which manoeuvres are long enough, s: about as long as they hold a step; and how
@@ -156,35 +154,25 @@ class _SpeedLoop:
     gains of its own: its integral acts so slowly that neither a motor that swings on its lines nor the spool is excited, and the
     command that the model needs for the set-point goes ahead."""
 
-    #: Command ahead of the loop in V by rpm of the set-point and for its sign, (2,) each.
-    ahead: tuple[Array, Array] | None = None
-
     def __init__(self, given: PlantModel, period: float) -> None:
         self.gain = 0.016 * 476106e-6 / np.array(given.pair("Kq"))  # V/rpm
         self.reset_time, self.period = np.full(2, 0.156), period  # s
         self.limit = np.array(given.pair("u_rated"))
-        if motors := _motors(given):
-            self.ahead = self._tune(given, motors)
-        self.sum = np.zeros(2)  # rpm s
-
-    def _tune(self, given: PlantModel, motors: Sequence[_Motor]) -> tuple[Array, Array]:
-        """Sets the gains for a rig of another size, and gives what goes ahead."""
-        slope, edge = np.zeros(2), np.zeros(2)
-        for c, motor in enumerate(motors):
+        # The sum of errors, rpm s, and the command ahead of the loop in V by rpm of the set-point and for its sign.
+        self.sum, self.slope, self.edge = np.zeros((3, 2))
+        for c, motor in enumerate(_motors(given)):
             at = rated(given, c)
             spool = math.sqrt(given.value("k", c) / given.value("m", c))  # rad/s
-            slope[c] = at["command"] / motor.full
-            edge[c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
+            self.slope[c] = at["command"] / motor.full
+            self.edge[c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
             integral = min(4.0, max(0.1, 0.25 * motor.decay), 0.1 * spool)  # 1/s
             self.reset_time[c] = min(max(motor.decay / motor.swing, 0.02), 0.5)
-            self.gain[c] = slope[c] * integral * self.reset_time[c]
-        return slope, edge
+            self.gain[c] = self.slope[c] * integral * self.reset_time[c]
 
     def __call__(self, setpoint: Array, speed: Array) -> Array:
         error = setpoint - speed
         wanted = self.gain * (error + self.sum / self.reset_time)
-        if self.ahead is not None:
-            wanted = wanted + self.ahead[0] * setpoint + self.ahead[1] * np.sign(setpoint)
+        wanted = wanted + self.slope * setpoint + self.edge * np.sign(setpoint)
         given = np.clip(wanted, -self.limit, self.limit)
         grows = (wanted == given) | ~(error * wanted > 0.0)
         self.sum = np.where(grows, self.sum + error * self.period, self.sum)
@@ -233,10 +221,9 @@ class Recorder:
         period = self.period
         samples = round(period * self.rate)
         steps = len(channels[0].value)
-        closed = np.column_stack([p.closed for p in channels])
-        value = np.column_stack([p.value for p in channels])
+        value, closed, load = (np.column_stack(each) for each in zip(*channels, strict=True))
         of = columns_of(scales_of(self.given))
-        load: Array = np.column_stack([p.load for p in channels]).round(of["load"].decimals)
+        load = load.round(of["load"].decimals)
         if "load" not in self.record:  # a load that nobody logs would be a second hidden effect
             load = np.zeros_like(load)
         # Every signal has a stream of its own: recording more of them changes none.

@@ -499,7 +499,7 @@ def test_controllers_may_be_used_while_one_is_traced() -> None:
 def test_the_state_holds_nothing_that_is_not_needed() -> None:
     """Without output shaping no past command is kept; PI keeps two integrators."""
     program = program_of("pid_paper", PERIOD)
-    assert {each.name for each in program.state} <= {"pid_integral", "pid_derivative", "pid_last_error"}
+    assert set(program.state) <= {"pid_integral", "pid_derivative", "pid_last_error"}
 
 
 @pytest.mark.parametrize(

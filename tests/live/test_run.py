@@ -172,7 +172,7 @@ def hanging(n: int) -> Any:
     [
         (failing, "ZeroDivisionError"),
         (hanging, "no command within"),
-        (lambda n: [0.15, 0.15 if n < 10 else np.nan], "not finite"),
+        (lambda n: [0.15, 0.15 if n < 10 else np.nan], "nan], expected two commands that are finite"),
         (lambda n: [0.15, 0.15] if n < 10 else "full", "expected two commands"),
     ],
     ids=["fails", "hangs", "nan", "nonsense"],

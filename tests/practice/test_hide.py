@@ -222,7 +222,7 @@ def test_forms_are_drawn_for_every_rig():
 def test_manoeuvres_differ_from_seed_to_seed():
     """No two rigs are asked to do the same, and both channels are in closed loop at the same time."""
     for name in RUNS:
-        first, second = (plans(name, np.random.SeedSequence(s), 0.01, 1200) for s in (1, 2))
+        first, second = (list(plans(name, np.random.SeedSequence(s), 0.01, 1200)) for s in (1, 2))
         np.testing.assert_array_equal(first[0].closed, first[1].closed)
         assert np.mean(first[0].value == second[0].value) < 0.3
         for plan in first:
@@ -247,7 +247,7 @@ def test_explicit_values():
         (["dead_zone:1", "dead_zone:2"], {}, "named twice"),
         (["dead_zone"], {"values": {"dead_zone.overlap": 1e-4}}, "no parameter 'overlap'"),
         (["dead_zone"], {"values": {"sensor_lag.time_constant": 0.01}}, "not among the effects"),
-        (["dead_zone"], {"values": {"dead_zone.overlap_positive": 1.0}}, "out of range"),
+        (["dead_zone"], {"values": {"dead_zone.overlap_positive": 1.0}}, "expected a number from"),
         (
             ["dead_zone"],
             {"values": {"dead_zone.overlap_positive": 0.0, "dead_zone.overlap_negative": 0.0}},
@@ -343,7 +343,7 @@ def test_logs_of_a_large_rig_are_those_of_its_size() -> None:
     assert np.abs(log["load_1_Nm"]).max() > 10.0
     assert np.ptp(log["speed_2_rpm"]) > 50.0 and np.ptp(log["pressure_2_bar"]) < 2.5 * 250.0
     wrong = {"load_bias.bias": 400.0}
-    with pytest.raises(InputError, match="out of range; expected -1"):
+    with pytest.raises(InputError, match="expected a number from -1"):
         make_practice(["load_bias:1"], model=model, values=wrong)
 
 

@@ -66,8 +66,8 @@ def export_fmu(
         wanted = platforms or (() if binaries else (f"{sys.platform} on {platform.machine()}",))
         missing += [f"{each} in FMI {version}.0" for each in wanted if each not in binaries]
         files.append(path)
-        size = path.stat().st_size
-        about.append({"file": path.name, "fmi": f"{version}.0", "bytes": size, "binaries": binaries})
+        written = {"file": path.name, "fmi": f"{version}.0", "bytes": path.stat().st_size}
+        about.append({**written, "binaries": binaries})
     without = "" if compilers or find_compiler() else "no C compiler was found (cc, gcc, clang or $CC)"
     why = without or f"no binary for {', '.join(missing)}"
     note = f"{why}: what has no binary holds the C source only, for tools that compile it" if missing else ""

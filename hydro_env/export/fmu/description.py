@@ -7,6 +7,7 @@ Names: inputs `command_1` (V) and `load_1` (N m), outputs `speed_1`, `pressure_1
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as xml
@@ -47,15 +48,15 @@ class Variable:
     bounds: tuple[float, float] = (-math.inf, math.inf)
 
 
-def variables(source: PlantSource) -> list[Variable]:
+def variables(source: PlantSource) -> Iterator[Variable]:
     """All variables, in the order of the description."""
-    found = [Variable("time", TIME_REFERENCE, "independent", "s", "time")]
+    yield Variable("time", TIME_REFERENCE, "independent", "s", "time")
     for c in (1, 2):
         text = f"command of valve {c}, held over a step and limited to +-u_rated"
-        found.append(Variable(f"command_{c}", COMMAND_REFERENCE + c - 1, "input", "V", text, 0.0))
+        yield Variable(f"command_{c}", COMMAND_REFERENCE + c - 1, "input", "V", text, 0.0)
     for c in (1, 2):
         text = f"torque of the load on the shaft of motor {c}, held over a step"
-        found.append(Variable(f"load_{c}", LOAD_REFERENCE + c - 1, "input", "N m", text, 0.0))
+        yield Variable(f"load_{c}", LOAD_REFERENCE + c - 1, "input", "N m", text, 0.0)
     effects = {effect.name: effect for effect in with_shared(CATALOGUE.values())}
     for name in source.outputs:
         unit, text = _SIGNALS.get(name, ("", ""))
@@ -64,17 +65,15 @@ def variables(source: PlantSource) -> list[Variable]:
             text = f"state of the effect {effects[name.split('__')[0]].title}"
         for c in (1, 2):
             place = FIRST_REFERENCE + source.places[name] + c - 1
-            found.append(Variable(f"{shown}_{c}", place, "output", unit, f"{text}, channel {c}"))
+            yield Variable(f"{shown}_{c}", place, "output", unit, f"{text}, channel {c}")
     for name in source.parameters:
-        found += _parameter(source, name)
-    return found
+        yield from _parameter(source, name)
 
 
-def _parameter(source: PlantSource, name: str) -> list[Variable]:
+def _parameter(source: PlantSource, name: str) -> Iterator[Variable]:
     """A parameter, once for each channel or once for the rig."""
     p = parameter_of(name)
     effect = f"{CATALOGUE[name.split('.')[0]].title}: " if "." in name else ""
-    made = []
     for c in (0,) if name in source.shared else (0, 1):
         start = source.model.value(name, c)
         least, greatest = source.parameters[name]
@@ -82,8 +81,7 @@ def _parameter(source: PlantSource, name: str) -> list[Variable]:
         place = FIRST_REFERENCE + source.places[name] + c
         owner = "rig" if name in source.shared else f"channel_{c + 1}"
         text = f"{effect}{p.title} ({p.source})" if p.source else f"{effect}{p.title}"
-        made.append(Variable(f"{owner}.{name}", place, "parameter", p.unit, text, start, bounds))
-    return made
+        yield Variable(f"{owner}.{name}", place, "parameter", p.unit, text, start, bounds)
 
 
 def model_description(source: PlantSource, version: int, identifier: str, token: str, tool: str) -> bytes:
@@ -106,8 +104,8 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
     # In FMI 2.0 the time may be left out.
     every = [v for v in variables(source) if version == 3 or v.causality != "independent"]
     _units(xml.SubElement(root, "UnitDefinitions"), every)
-    categories = xml.SubElement(root, "LogCategories")
-    xml.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
+    reason = {"name": "logStatusError", "description": "why a call was refused"}
+    xml.SubElement(xml.SubElement(root, "LogCategories"), "Category", reason)
     xml.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(STEP))
     listed = xml.SubElement(root, "ModelVariables")
     for each in every:
@@ -157,13 +155,11 @@ def _variable(parent: xml.Element, each: Variable, version: int) -> None:
 def _structure(parent: xml.Element, every: list[Variable], version: int) -> None:
     """What outputs depend on: at an instant on no input, as everything passes a coil or a shaft first."""
     outputs = [(n, each) for n, each in enumerate(every, start=1) if each.causality == "output"]
-    if version == 2:
-        direct, initial = xml.SubElement(parent, "Outputs"), xml.SubElement(parent, "InitialUnknowns")
-        for n, _ in outputs:
-            xml.SubElement(direct, "Unknown", index=str(n), dependencies="")
-            xml.SubElement(initial, "Unknown", index=str(n))
-        return
-    for _, each in outputs:
-        xml.SubElement(parent, "Output", valueReference=str(each.reference), dependencies="")
-    for _, each in outputs:
-        xml.SubElement(parent, "InitialUnknown", valueReference=str(each.reference))
+    for tag, more in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
+        if version == 2:
+            listed = xml.SubElement(parent, f"{tag}s")
+            for n, _ in outputs:
+                xml.SubElement(listed, "Unknown", {"index": str(n), **more})
+        else:
+            for _, each in outputs:
+                xml.SubElement(parent, tag, {"valueReference": str(each.reference), **more})

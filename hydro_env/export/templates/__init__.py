@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from string import Template
 
-__all__ = ["template"]
-
 
 def template(file: str) -> Template:
     """The file of this name in this folder; its places are like `${name}`."""

@@ -1,8 +1,9 @@
 """Equations of the rig, one by one, in both forms of every effect: coil and spool, valve flow, line, motor and load, sensor.
 
 `p` is the record of a channel: base parameters by symbol, those of effects as EFFECT__PARAMETER, constants of form as
-form_NAME, `different` for the form, `lines_supply`, the supply pressure of the effects on single lines, and `at_...`, the
-places of its states in `y` (-1: it has none). Numbers in brackets are equations of the paper.
+form_NAME (those of `forms.SAME` are neutral in the same form), `different` for the form, `lines_supply`, the supply pressure of
+the effects on single lines, and `at_...`, the places of its states in `y` (-1: it has none). Numbers in brackets are equations of
+the paper.
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ _SUPPLY_FLOW = 2.0 * 476106e-6 * 20.0 * 73.0 / (100.0 * 17000.0)  # m3/s; rated 
 @compiled
 def _limited(value, limit, knee):
     """A limit, hard where `knee` is 0, else the p-norm with this exponent."""
-    if limit == np.inf:
-        return value
     if knee > 0.0:
         return value / (1.0 + (abs(value) / limit) ** knee) ** (1.0 / knee)
     return min(max(value, -limit), limit)
@@ -58,15 +57,6 @@ def _lag_rates(p, y, dy, at, target, memory, share):
 
 
 @compiled
-def _edges(p, x):
-    """Openings of the edges of both directions of a valve with underlap, m."""
-    first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
-    if p.different:
-        return _rounded(first, p.form_clearance), _rounded(second, p.form_clearance)
-    return max(first, 0.0), max(second, 0.0)
-
-
-@compiled
 def _root(p, drive):
     """Flow of an edge over that at the supply's whole pressure: the root, laminar about zero in the different form."""
     if p.different:
@@ -87,21 +77,14 @@ def _opening(p, spool):
     x = spool + p.null_offset__offset
     high, low = p.dead_zone__overlap_positive, p.dead_zone__overlap_negative
     if high != 0.0 or low != 0.0:
-        if p.different:
-            clearance = p.form_clearance
-            above, below = x - high, x + low
-            x = 0.5 * (above + math.sqrt(above * above + clearance**2))
-            x += 0.5 * (below - math.sqrt(below * below + clearance**2))
-        elif x > high:
-            x -= high
-        elif x < -low:
-            x += low
-        else:
-            x = 0.0
+        above, below = x - high, x + low
+        x = 0.5 * (above + math.sqrt(above * above + p.form_clearance**2))
+        x += 0.5 * (below - math.sqrt(below * below + p.form_clearance**2))
     if p.underlap__underlap_positive != 0.0 or p.underlap__underlap_negative != 0.0:
-        first, second = _edges(p, x)
-        x = first - second
-    x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee if p.different else 0.0)
+        # What the edges of both directions are open.
+        first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
+        x = _rounded(first, p.form_clearance) - _rounded(second, p.form_clearance)
+    x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee)
     ratio = p.directional_gain__ratio
     if ratio != 1.0:
         if p.different:
@@ -111,7 +94,7 @@ def _opening(p, spool):
     curvature = p.flow_gain_nonlinearity__curvature
     if curvature != 0.0:
         share = min(abs(x) * p.R * p.k / (p.alpha * p.u_rated), 1.0)
-        x *= 1.0 - curvature + curvature * (share**p.form_notch_power if p.different else share)
+        x *= 1.0 - curvature + curvature * share**p.form_notch_power
     return x
 
 
@@ -129,12 +112,9 @@ def _valve_flow(p, spool, pressure, droop, mean):
     """
     x = _opening(p, spool)
     drive = _drive(p, x, pressure, droop)
-    plain = p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0
     if p.at_mean >= 0:
         passed = 0.5 * (_edge_root(p, drive - mean) + _edge_root(p, drive + mean))
         flow = p.Kq * x * (passed if p.different else max(passed, 0.0))
-    elif plain:
-        flow = p.Kq * x
     else:
         flow = p.Kq * x * _root(p, drive)
     width = p.underlap__underlap_positive + p.underlap__underlap_negative
@@ -149,50 +129,22 @@ def _valve_flow(p, spool, pressure, droop, mean):
 
 
 @compiled
-def _leak(p, line):
-    """Pressure that drives a leak out of a line, Pa; its conductance is that at half the supply pressure."""
+def _outflow(p, line, leak):
+    """Flow from a line with this leak to the tank, m3/s, less what it draws from there through its check valve.
+
+    The conductance of a leak is that at half the supply pressure, that of the check valve at 1 bar.
+    """
     driving = max(line, 0.0)
+    below = max(p.anti_cavitation__opening_pressure - line, 0.0)
     if p.different:
         half = 0.5 * p.lines_supply
         driving = half * (driving / half) ** p.form_leak_power
-    return driving
-
-
-@compiled
-def _make_up(p, line):
-    """Pressure that drives oil through a check valve into a line, Pa; its conductance is that at 1 bar."""
-    below = max(p.anti_cavitation__opening_pressure - line, 0.0)
-    if p.different:
         # The poppet lifts over its spring, then the valve is an orifice.
         lift = p.form_check_lift
         below = below**2 / (2.0 * lift) if below < lift else below - 0.5 * lift
         below = 1e5 * (below / 1e5) ** p.form_check_power
-    return below
-
-
-@compiled
-def _outflow(p, line, leak):
-    """Flow from a line with this leak to the tank, m3/s, less what it draws from there."""
-    drained = (max(leak, 0.0) + p.case_drain__conductance) * _leak(p, line)
-    return drained - p.anti_cavitation__conductance * _make_up(p, line)
-
-
-@compiled
-def _outflows(p, pressure, mean):
-    """The same of both lines."""
-    middle, leak = 0.5 * p.lines_supply * (1.0 + mean), p.external_leakage__conductance
-    return _outflow(p, middle + 0.5 * pressure, leak), _outflow(p, middle - 0.5 * pressure, -leak)
-
-
-@compiled
-def _mean_rate(p, spool, pressure, droop, mean, softness):
-    """How the mean pressure of the lines changes, as a share of half the supply's a second."""
-    x = _opening(p, spool)
-    drive = _drive(p, x, pressure, droop)
-    gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
-    a, b = _outflows(p, pressure, mean)
-    # Each line holds twice the volume that both have in series.
-    return (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
+    drained = (max(leak, 0.0) + p.case_drain__conductance) * driving
+    return drained - p.anti_cavitation__conductance * below
 
 
 @compiled
@@ -275,8 +227,7 @@ def _spool_rates(p, y, dy, pressure):
     """Coil (6), spool (5) and all that acts on them."""
     at = p.at_states
     i, x, v = y[at], y[at + 1], y[at + 2]
-    knee = p.form_driver_knee if p.different else 0.0
-    voltage = _limited(_played(p, y, dy), p.driver_saturation__voltage_limit, knee)
+    voltage = _limited(_played(p, y, dy), p.driver_saturation__voltage_limit, p.form_driver_knee)
     resistance = p.R
     if p.at_heat >= 0:
         heat = y[p.at_heat]
@@ -308,9 +259,8 @@ def _spool_rates(p, y, dy, pressure):
     beyond = abs(x) - min(p.x_max, p.spool_stop__travel)
     if beyond > 0.0:
         side = 1.0 if x > 0.0 else -1.0
-        yields = 1.0
-        if p.different and p.spool_stop__travel < p.x_max:
-            yields = (beyond / p.form_stop_depth) ** (p.form_stop_power - 1.0)
+        nearer = p.spool_stop__travel < p.x_max
+        yields = (beyond / p.form_stop_depth) ** (p.form_stop_power - 1.0) if nearer else 1.0
         # Hunt and Crossley: pushes, never pulls
         stop = -side * max(p.k_stop * beyond * yields * (1.0 + v * side / p.v_stop), 0.0)
     friction = _spool_friction(p, y, dy)
@@ -323,8 +273,7 @@ def _shaft_torque(p, y, dy, speed, angle, load):
     torque = -load - p.load_bias__bias
     coulomb, static = p.motor_coulomb_friction__coulomb, p.motor_coulomb_friction__static
     if coulomb != 0.0 or static != 0.0:
-        power = p.form_shaft_stribeck if p.different else 2.0
-        peak = math.exp(-(abs(speed / p.motor_coulomb_friction__stribeck_speed) ** power))
+        peak = math.exp(-(abs(speed / p.motor_coulomb_friction__stribeck_speed) ** p.form_shaft_stribeck))
         level = coulomb + (static - coulomb) * peak
         if p.different:
             stiffness = max(coulomb, static) / p.form_shaft_travel
@@ -336,8 +285,7 @@ def _shaft_torque(p, y, dy, speed, angle, load):
             torque -= stiffness * z + damping * z_rate
         else:
             torque -= level * math.tanh(10.0 * speed)
-    rate = math.hypot(speed, p.form_drag_transition) if p.different else abs(speed)
-    torque -= p.quadratic_drag__coefficient * speed * rate
+    torque -= p.quadratic_drag__coefficient * speed * math.hypot(speed, p.form_drag_transition)
     torque -= p.eccentric_load__amplitude * math.sin(angle + p.eccentric_load__phase)
     if p.at_twist >= 0:
         twist, outer = y[p.at_twist], y[p.at_twist + 1]
@@ -453,17 +401,14 @@ def _displacement(p, angle):
         return p.D
     turn = p.displacement_ripple__order * angle
     wave = math.cos(turn)
-    if p.different:
-        wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
+    wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
     return p.D * (1.0 + ripple * wave)
 
 
 @compiled
 def _at_motor(p, pressure, motor_flow):
     """Load pressure at the ports of the motor, Pa."""
-    lost = p.line_loss__coefficient * motor_flow
-    lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
-    return pressure - lost
+    return pressure - p.line_loss__coefficient * motor_flow * math.hypot(motor_flow, p.form_line_transition)
 
 
 @compiled
@@ -474,8 +419,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     change = p.viscosity_drift__change
     if change != 0.0:
         warm = 1.0 - math.exp(-time / p.viscosity_drift__time_constant)
-        if p.different:
-            warm += p.form_drift_bend * warm * (1.0 - warm)
+        warm += p.form_drift_bend * warm * (1.0 - warm)
         change *= warm
     softness = 1.0 / p.beta
     air = p.entrained_air__fraction
@@ -491,8 +435,15 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     if p.at_lift >= 0:
         leakage += _relief_flow(p, y, dy, pressure)
     if p.at_mean >= 0:
-        a, b = _outflows(p, pressure, y[p.at_mean])
+        mean = y[p.at_mean]
+        middle, leak = 0.5 * p.lines_supply * (1.0 + mean), p.external_leakage__conductance
+        a, b = _outflow(p, middle + 0.5 * pressure, leak), _outflow(p, middle - 0.5 * pressure, -leak)
         leakage += 0.5 * (a - b)
+        # The mean pressure, as a share of half the supply's. Each line holds twice the volume that both have in series.
+        x = _opening(p, y[at + 1])
+        drive = _drive(p, x, pressure, droop)
+        gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
+        dy[p.at_mean] = (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
     if p.at_side >= 0:
         drop = pressure - y[p.at_side]
         if p.different:
@@ -500,25 +451,15 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
         passed = p.line_volume__conductance * drop
         dy[p.at_side] = p.beta * passed / p.line_volume__volume
         leakage += passed
-    if p.lossy:
-        leakage += _loss_flow(p, pressure, speed)
+    leakage += _loss_flow(p, pressure, speed)
     motor_flow = displacement * speed
     dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
-    if p.at_mean >= 0:
-        dy[p.at_mean] = _mean_rate(p, y[at + 1], pressure, droop, y[p.at_mean], softness)
 
     at_motor = _at_motor(p, pressure, motor_flow)
     torque = displacement * at_motor - p.B * math.exp(change) * speed
-    if p.lossy:
-        torque -= _loss_torque(p, at_motor, speed)
+    torque -= _loss_torque(p, at_motor, speed)
     dy[at + 5] = (torque + _shaft_torque(p, y, dy, speed, angle, load)) / p.J
     dy[at + 6] = speed
-
-
-@compiled
-def _measured(p, y):
-    """What the speed sensor shows, rad/s, without noise."""
-    return _lagged(p, y, p.at_lag, y[p.at_states + 5]) * p.sensor_gain__gain + p.sensor_offset__offset
 
 
 @compiled
@@ -545,23 +486,19 @@ def rates(time, y, channels):
 
 
 @compiled
-def _mean_line_pressure(p, droop, mean):
-    """Half the sum of both line pressures above the tank's, Pa; of a model without a supply pressure what differs from it."""
-    supply = p.pressure_dependent_flow__supply_pressure
-    level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
-    return level + 0.5 * p.lines_supply * mean
-
-
-@compiled
 def outputs(y, channels, flow, shown, lines, at_motor):
-    """Flow, measured speed, mean line pressure and motor pressure of every row of states: y (T, states) -> (T, channels) each."""
+    """Flow, measured speed (without noise), mean line pressure and motor pressure of every row of states: y (T, states) -> (T,
+    channels) each."""
     for t in range(y.shape[0]):
         for c in range(channels.shape[0]):
             p = channels[c]
             droop = _lagged(p, y[t], p.at_droop, 0.0)
             mean = y[t, p.at_mean] if p.at_mean >= 0 else 0.0
-            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
-            shown[t, c] = _measured(p, y[t])
-            lines[t, c] = _mean_line_pressure(p, droop, mean)
             pressure, speed, angle = y[t, p.at_states + 4], y[t, p.at_states + 5], y[t, p.at_states + 6]
+            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], pressure, droop, mean)
+            shown[t, c] = _lagged(p, y[t], p.at_lag, speed) * p.sensor_gain__gain + p.sensor_offset__offset
+            # Half the sum of both above the tank's; of a model without a supply pressure what differs from it.
+            supply = p.pressure_dependent_flow__supply_pressure
+            level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
+            lines[t, c] = level + 0.5 * p.lines_supply * mean
             at_motor[t, c] = _at_motor(p, pressure, _displacement(p, angle) * speed)

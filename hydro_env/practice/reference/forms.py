@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,12 +74,10 @@ def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, t
     return {"stop_travels": tuple(travels[order].tolist()), "stop_shares": tuple(shares[order].tolist())}
 
 
-def draw(rng: np.random.Generator) -> dict[str, float | tuple[float, ...]]:
+def draw(rng: np.random.Generator) -> dict[str, Any]:
     """The constants of one rig."""
-    found: dict[str, float | tuple[float, ...]] = {c.name: c.at(rng.random()) for c in _EARLY}
-    reach = found["stop_reach"]
-    assert isinstance(reach, float)
-    found |= _stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))
+    found: dict[str, Any] = {c.name: c.at(rng.random()) for c in _EARLY}
+    found |= _stops(found["stop_reach"], rng.random(STOPS), rng.gamma(2.0, size=STOPS))
     return found | {c.name: c.at(rng.random()) for c in _LATER}
 
 
@@ -87,6 +86,12 @@ def scaled(constants: Constants, scales: Scales) -> dict[str, float | tuple[floa
     return {n: v if isinstance(v, tuple) else scales.factor(UNITS[n]) * v for n, v in constants.items()}
 
 
+#: Constants at which an equation of the different forms is the catalogue's.
+SAME: Constants = {
+    **dict.fromkeys(("clearance", "driver_knee", "saturation_knee", "drag_transition", "line_transition"), 0.0),
+    **dict.fromkeys(("ripple_second", "drift_bend"), 0.0), **dict.fromkeys(("notch_power", "stop_power"), 1.0),
+    "shaft_stribeck": 2.0,
+}  # fmt: skip
 _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
 #: The median of every constant, stops evenly spread.
 MIDDLE: Constants = {

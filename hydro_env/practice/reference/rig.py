@@ -1,29 +1,118 @@
-"""The rig of two channels: commands and loads go in, the signals of both come out."""
+"""The rig of two channels: layout of the states, their integration by SciPy's stiff solvers, and the signals that come out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import odeint, solve_ivp
 
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
 from ...plant.model import PlantModel
 from ...plant.model_files import load_model
-from .equations import outputs
-from .forms import Constants, checked
-from .solver import STATES, Group
+from ...plant.parameters import PARAMETERS
+from .equations import outputs, rates
+from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, SAME, STOPS, Constants, checked
 
 Array = NDArray[np.float64]
 
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.
 FORMS = ("same", "different")
+_INSTANT = 1e-9  # s; what lies closer together happens at once
+#: What every channel has, in this order from `at_states` on.
+STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: What the simulator returns.
 REFERENCE_SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure", "motor_pressure")
-_INSTANT = 1e-9  # s; what lies closer together happens at once
+_SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # of these states, for absolute tolerances
+#: Memories that a channel may have besides, in the order of their states: the parameters of which one must not be neutral, and
+#: the scales of the states in the same and in the different form.
+_MEMORIES: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]] = {
+    "heat": (("coil_heating__rise",), (0.1,), (0.1,)),
+    "loop": (("magnetic_hysteresis__amplitude",), (1.0,), (1.0,) * STOPS),
+    "play": (("input_hysteresis__width",), (1.0,), (1.0,) * PLAYS),
+    "mean": (tuple(f"{name}__conductance" for name in OF_BOTH_LINES), (0.1,), (0.1,)),
+    "side": (("line_volume__conductance",), (1e5,), (1e5,)),
+    "lift": (("crossport_relief__relief_pressure",), (1e5, 1e5), (1e5, 1e5)),
+    "second_bristle": (("spool_stiction__coulomb", "spool_stiction__static"), (), (1e-6,)),
+    "shaft_bristle": (("motor_coulomb_friction__coulomb", "motor_coulomb_friction__static"), (), (1e-3,)),
+    "twist": (("shaft_backlash__inertia",), (1e-2, 1.0), (1e-2, 1.0)),
+    "lag": (("sensor_lag__time_constant",), (1.0,), (1.0, 1.0)),
+}
+#: Scales of the droop, which both channels share.
+_DROOP = ((0.1,), (0.1, 0.1))
+#: Parameters of every channel by their names in models; a record has them with two underscores for the dot.
+_PARAMETERS = (*PARAMETERS, *(f"{name}.{p.name}" for name in BUILT_IN for p in CATALOGUE[name].parameters))
+
+
+def _fields() -> list[tuple[Any, ...]]:
+    """Fields of the record of a channel, see `equations`."""
+    numbers = [name.replace(".", "__") for name in _PARAMETERS]
+    numbers += [*(f"form_{c.name}" for c in CONSTANTS), "lines_supply", "command", "load"]
+    stops = [(f"form_{name}", np.float64, (STOPS,)) for name in ("stop_travels", "stop_shares")]
+    places = [f"at_{name}" for name in ("states", *_MEMORIES, "droop")]
+    places.append("different")
+    return [*((name, np.float64) for name in numbers), *stops, *((name, np.int64) for name in places)]
+
+
+class Group:
+    """Channels that are integrated together: each alone, or both where they share the supply."""
+
+    def __init__(self, model: PlantModel, members: tuple[int, ...], forms: str, constants: Constants) -> None:
+        self.members = members
+        self.channels = np.zeros(len(members), dtype=_fields())
+        different = forms == "different"
+        scales: list[float] = []
+
+        def place(of_states: tuple[float, ...]) -> int:
+            """Number of the first of further states; -1 where there are none."""
+            scales.extend(of_states)
+            return len(scales) - len(of_states) if of_states else -1
+
+        for p, c in zip(self.channels, members, strict=True):
+            for name in _PARAMETERS:
+                p[name.replace(".", "__")] = model.value(name, c)
+            for name, constant in (constants if different else {**constants, **SAME}).items():
+                p[f"form_{name}"] = constant
+            p["different"] = different
+            for name in [name for name in OF_BOTH_LINES if p[f"{name}__conductance"] != 0.0][:1]:
+                p["lines_supply"] = p[f"{name}__supply_pressure"]
+            p["at_states"] = place(_SCALES)
+            for name, (sizes, *by_form) in _MEMORIES.items():
+                acts = any(p[size] not in (0.0, np.inf) for size in sizes)
+                p[f"at_{name}"] = place(by_form[different]) if acts else -1
+        droops = self.channels["supply_droop__relative_drop"].any()
+        self.channels["at_droop"] = place(_DROOP[different]) if droops else -1
+        self.scales = np.array(scales)
+        self.state = np.zeros(len(scales))
+
+    def integrate(self, times: Array, method: str, tolerance: float) -> Array:
+        """States at `times` (the first is now), (len(times), states); the last becomes the present state."""
+        limits = {"rtol": tolerance, "atol": tolerance * self.scales}
+        rows = None
+        if method == "LSODA":
+            rows, info = odeint(
+                rates, self.state, times, args=(self.channels,), tfirst=True, full_output=True, mxstep=20000,
+                printmessg=False, **limits,
+            )  # fmt: skip
+            if info["message"] != "Integration successful.":
+                rows, method = None, "Radau"
+        if rows is None:
+            found = solve_ivp(
+                rates, (times[0], times[-1]), self.state, method=method, t_eval=times, args=(self.channels,), **limits
+            )  # fmt: skip
+            if not found.success:
+                reached = found.t[-1] if found.t.size else times[0]
+                raise RuntimeError(f"reference simulator: {found.message} at t = {reached}")
+            rows = found.y.T
+        if not np.isfinite(rows[-1]).all():
+            raise RuntimeError(f"reference simulator: a state is not finite after t = {times[0]:g} s")
+        self.state = np.array(rows[-1])
+        return np.asarray(rows)
 
 
 class ReferenceRig:
@@ -42,32 +131,28 @@ class ReferenceRig:
     ) -> None:  # fmt: skip
         if forms not in FORMS:
             raise ValueError(f"forms is {forms!r}, expected one of {', '.join(FORMS)}")
-        self.model, self.forms, self.method, self.tolerance = load_model(model), forms, method, tolerance
+        self.model, self.method, self.tolerance = load_model(model), method, tolerance
         for name, acts in self.model.effects.items():
             if name not in BUILT_IN and not all(CATALOGUE[name].is_neutral(values or {}) for values in acts):
                 raise InputError(
                     f"{name}: the reference simulator has no equations for this user's effect; use hydro_env.plant.simulate"
                 )
-        self.constants = checked(constants)
+        known = checked(constants)
         self._delays = self.model.pair("command_delay.delay")
-        self._rated = self.model.pair("u_rated")
-        self.reset()
-
-    def reset(self) -> None:
-        """Puts the rig to rest at time zero."""
+        self._rated = np.array(self.model.pair("u_rated"))
         coupled = any(self.model.pair("supply_droop.relative_drop"))
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
-        self._groups = [Group(self.model, members, self.forms, self.constants) for members in sets]
+        self._groups = [Group(self.model, members, forms, known) for members in sets]
         self.time = 0.0
         # (when, voltage) on its way, by channel
         self._coming: tuple[list[tuple[float, float]], ...] = ([], [])
 
     def signals(self) -> dict[str, Array]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
-        out = {name: np.empty((1, 2)) for name in REFERENCE_SIGNALS}
+        out = np.empty((len(REFERENCE_SIGNALS), 1, 2))
         for group in self._groups:
-            self._store(group, group.state[None, :], out, np.array([0]))
-        return {name: values[0] for name, values in out.items()}
+            self._store(group, group.state[None, :], out)
+        return dict(zip(REFERENCE_SIGNALS, out[:, 0], strict=True))
 
     def advance(
         self, command_V: ArrayLike, load_Nm: ArrayLike, duration: float, samples: int = 1
@@ -80,19 +165,19 @@ class ReferenceRig:
         command = np.broadcast_to(np.asarray(command_V, dtype=float), (2,))
         load = np.broadcast_to(np.asarray(load_Nm, dtype=float), (2,))
         start, end = self.time, self.time + duration
-        for c in (0, 1):
-            voltage = min(max(float(command[c]), -self._rated[c]), self._rated[c])
-            self._coming[c].append((start + self._delays[c], voltage))
+        voltages = np.clip(command, -self._rated, self._rated)
+        for coming, delay, voltage in zip(self._coming, self._delays, voltages, strict=True):
+            coming.append((start + delay, voltage))
         instants = np.linspace(start, end, samples + 1)[1:]
-        out = {name: np.empty((samples, 2)) for name in REFERENCE_SIGNALS}
+        out = np.empty((len(REFERENCE_SIGNALS), samples, 2))
         for group in self._groups:
             for p, c in zip(group.channels, group.members, strict=True):
                 p["load"] = load[c]
             self._run(group, start, end, instants, out)
         self.time = end
-        return out
+        return dict(zip(REFERENCE_SIGNALS, out, strict=True))
 
-    def _run(self, group: Group, start: float, end: float, instants: Array, out: dict[str, Array]) -> None:
+    def _run(self, group: Group, start: float, end: float, instants: Array, out: Array) -> None:
         now = start
         while now < end - _INSTANT:
             until = end
@@ -102,24 +187,23 @@ class ReferenceRig:
                     p["command"] = coming.pop(0)[1]
                 if coming and coming[0][0] < until - _INSTANT:
                     until = coming[0][0]
-            rows = np.flatnonzero((instants > now + _INSTANT) & (instants <= until + _INSTANT))
-            times = np.concatenate(([now], np.minimum(instants[rows], until)))
+            begin, stop = np.searchsorted(instants, (now + _INSTANT, until + _INSTANT), side="right")
+            times = np.array([now, *np.minimum(instants[begin:stop], until)])
             if times[-1] < until - _INSTANT:
                 times = np.append(times, until)
             states = group.integrate(times, self.method, self.tolerance)
-            self._store(group, states[1 : 1 + rows.size], out, rows)
+            self._store(group, states[1 : 1 + stop - begin], out[:, begin:stop])
             now = until
 
     @staticmethod
-    def _store(group: Group, states: Array, out: dict[str, Array], rows: NDArray[np.intp]) -> None:
+    def _store(group: Group, states: Array, out: Array) -> None:
+        """Writes the signals of a group's channels, an instant for each of the `states`, to `out` (signals, instants, 2)."""
         states = np.ascontiguousarray(states)
-        seen = np.empty((4, len(rows), len(group.members)))
+        seen = np.empty((4, len(states), len(group.members)))
         outputs(states, group.channels, *seen)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])
-            every = *states[:, at : at + len(STATES)].T, *seen[:, :, j]
-            for name, values in zip(REFERENCE_SIGNALS, every, strict=True):
-                out[name][rows, c] = values
+            out[:, :, c] = *states[:, at : at + len(STATES)].T, *seen[:, :, j]
 
 
 def simulate_reference(
@@ -138,16 +222,10 @@ def simulate_reference(
     if not (np.isfinite(command).all() and np.isfinite(load).all()):
         raise ValueError("a command or load is not finite")
     rig = ReferenceRig(model, **options)
-    length = command.shape[0]
-    out = {name: np.empty((length, 2)) for name in REFERENCE_SIGNALS}
-    for name, value in rig.signals().items():
-        out[name][:1] = value
+    parts = [rig.signals()]
     changes = 1 + np.flatnonzero(np.diff(np.hstack([command, load]), axis=0).any(axis=1))
-    starts = np.concatenate(([0], changes))
-    ends = np.concatenate((changes, [length - 1]))  # the last row's command acts only after the log
-    for first, last in zip(starts, ends, strict=True):
+    # The last row's command acts only after the log.
+    for first, last in pairwise([0, *changes.tolist(), len(command) - 1]):
         if last > first:
-            part = rig.advance(command[first], load[first], (last - first) * period, int(last - first))
-            for name, values in part.items():
-                out[name][first + 1 : last + 1] = values
-    return out
+            parts.append(rig.advance(command[first], load[first], (last - first) * period, last - first))
+    return {name: np.vstack([part[name] for part in parts])[: len(command)] for name in REFERENCE_SIGNALS}
