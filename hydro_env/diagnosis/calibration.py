@@ -21,9 +21,8 @@ import numpy as np
 from ..measured import Finding, RigLog
 from ..measured import Mapping as LogMapping
 from ..plant import PlantModel
-from .estimation.estimate import Vector
+from .estimation.estimate import Estimates, Vector
 from .estimation.fit import Fit
-from .logs import Estimates
 from .opening import opened
 from .settings import Settings
 from .stages import calibration, consistency, uncertainty
@@ -111,7 +110,7 @@ def estimate(
         if parameters is not None:
             chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
             check_chosen(rig, chosen)
-        found = calibration.run(consistency.run(all_logs, accept), chosen)
+        found = calibration.run(*consistency.run(all_logs, accept), chosen)
         models = Models(found.given, found.estimates, found.estimates, found.estimates, {})
         models = uncertainty.run(found.logs, uncertainty.settle(found.logs, models))
         after = models.final

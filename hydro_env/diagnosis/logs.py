@@ -1,17 +1,12 @@
-"""What all stages work on: a model of the rig with its logs, and estimates of its parameters by channel."""
+"""What all stages work on: a model of the rig with its logs."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ..measured import Finding
-from .estimation.estimate import Estimate
 from .estimation.fit import Fit
 from .models.base import RigModel
-
-#: Estimates by channel; the same one for both where the whole rig was estimated together.
-Estimates = dict[int, Estimate]
 
 
 @dataclass(frozen=True)
@@ -38,20 +33,6 @@ class Logs:
         return Logs(self.fit.on(self.rig.following(channels)), fine, held_out)
 
 
-@dataclass(frozen=True)
-class Given:
-    """The model as given beside the logs, and what it shows of these."""
-
-    logs: Logs
-    estimates: Estimates
-    findings: list[Finding]
-
-
 def place_of(channel: int | None) -> str:
     """ "1" or "2" for a channel, "rig" for None."""
     return "rig" if channel is None else str(channel + 1)
-
-
-def distinct(estimates: Estimates) -> list[Estimate]:
-    """Each estimate once."""
-    return list(dict.fromkeys(estimates.values()))

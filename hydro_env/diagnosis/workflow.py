@@ -114,8 +114,8 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
         say(STAGES[stage])
         return stage(*needs, **more)
 
-    given = do(consistency.run, logs, accept)
-    calibrated, forms = do(form_correction.of_given, do(calibration.run, given))
+    calibrated = do(calibration.run, *do(consistency.run, logs, accept))
+    calibrated, forms = do(form_correction.of_given, calibrated)
     calibrated = do(rattling.run, calibrated, calibrated.estimates)
     while True:
         screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)

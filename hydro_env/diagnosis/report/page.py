@@ -6,7 +6,7 @@ from __future__ import annotations
 import textwrap
 from datetime import date
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,14 +14,11 @@ from ... import __version__
 from ...pages import COLOURS, figure, render, svg
 from ...plant import CATALOGUE
 from ..models.base import Segment
+from ..result import Diagnosis
 from ..stages.localisation import Location
 from ..stages.screening import detectable, hidden_by_calibration
-from ..stages.values import known_parameters
 from . import statements as say
 from . import wording as words
-
-if TYPE_CHECKING:
-    from ..result import Diagnosis
 
 #: Points of a trace in a picture: one for each pixel of its width.
 POINTS = 900
@@ -42,7 +39,7 @@ def report_page(state: Diagnosis) -> str:
         files(__package__).joinpath("page.html"),
         title=f"Diagnosis of {say.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
         state=state, say=say, words=words, catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
-        parameters=[(p, say.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
+        parameters=[(p, say.comment(state.rig, p)) for p in state.known],
         traces=traces(state), maps=[_map(p) for p in say.shown_locations(state)[:2]],
         seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
     )  # fmt: skip

@@ -9,6 +9,7 @@ from pathlib import Path
 from ...plant import CATALOGUE
 from ..logs import place_of
 from ..models.base import RigModel
+from ..result import Diagnosis
 from ..stages.candidates import Candidate
 from ..stages.localisation import Location
 from ..stages.naming import NamedEffect
@@ -16,7 +17,6 @@ from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
-from ..state import State
 from . import wording as words
 
 #: A name that is more likely wrong than right is not put forward as a fact.
@@ -58,15 +58,15 @@ def errors_of(proof: Proof) -> list[SignalErrors]:
     return [SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry) for (c, signal), entry in every]
 
 
-def _speeds(state: State) -> list[SignalErrors]:
+def _speeds(state: Diagnosis) -> list[SignalErrors]:
     return [e for e in errors_of(state.proofs.held_out) if e.signal == "speed"]
 
 
-def _worst(state: State) -> SignalErrors:
+def _worst(state: Diagnosis) -> SignalErrors:
     return max(_speeds(state), key=lambda e: e.above_noise)
 
 
-def headline(state: State) -> SignalErrors:
+def headline(state: Diagnosis) -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
     speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
     own = [e for e in speeds if e.channel in named] or speeds
@@ -74,7 +74,7 @@ def headline(state: State) -> SignalErrors:
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
-def sentence(state: State) -> str:
+def sentence(state: Diagnosis) -> str:
     """The verdict in a sentence, and the proof in another."""
     head, doubtful = headline(state), _doubtful(state)
     e, unit = head.errors, head.unit
@@ -98,7 +98,7 @@ def sentence(state: State) -> str:
     return f"{doubtful} {lacks(state)} {error}: {before}.{other}".strip()
 
 
-def _doubtful(state: State) -> str:
+def _doubtful(state: Diagnosis) -> str:
     """What speaks against the logs themselves, before anything is concluded from them, or nothing."""
     texts = []
     if state.undetermined:
@@ -113,7 +113,7 @@ def _doubtful(state: State) -> str:
     return " ".join(texts)
 
 
-def _guess(state: State) -> str:
+def _guess(state: Diagnosis) -> str:
     """The best guess, and what is proven: the share of a speed's error that it explains, and what it leaves."""
     worst = _worst(state)
     e = worst.errors
@@ -128,7 +128,7 @@ def _guess(state: State) -> str:
     )
 
 
-def _lacks(state: State) -> str:
+def _lacks(state: Diagnosis) -> str:
     sure = [n for n in state.effects if n.probability >= LIKELY or len(state.effects) == 1]
     perhaps = [n for n in state.effects if n not in sure]
     text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
@@ -137,7 +137,7 @@ def _lacks(state: State) -> str:
     return text
 
 
-def _unknown(state: State) -> str:
+def _unknown(state: Diagnosis) -> str:
     shown = shown_locations(state)[:2]
     places = [f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
@@ -155,7 +155,7 @@ def _said(n: NamedEffect) -> str:
     return text + (f" (or {tied}: these logs cannot distinguish them)" if tied else "")
 
 
-def log_names(state: State) -> str:
+def log_names(state: Diagnosis) -> str:
     """The logs that were fitted, two by name."""
     names = list(dict.fromkeys(part.log.name for part in state.rig.parts))
     return words.listed(names if len(names) < 3 else [*names[:2], f"{len(names) - 2} more"])
@@ -167,7 +167,7 @@ def short_names(rig: RigModel) -> list[str]:
 
 
 # --- what is left ---------------------------------------------------------------------------------------------------------
-def remaining(state: State, n: NamedEffect) -> str:
+def remaining(state: Diagnosis, n: NamedEffect) -> str:
     """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
     speeds = [s for s in _speeds(state) if s.channel in (n.channels or state.rig.channels)]
     return words.listed([
@@ -177,7 +177,7 @@ def remaining(state: State, n: NamedEffect) -> str:
     ])  # fmt: skip
 
 
-def weak_proof(state: State) -> str:
+def weak_proof(state: Diagnosis) -> str:
     """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
     entry = headline(state).errors
     near = entry["placebo"] <= PLACEBO_NEAR * entry.get(NAMED, entry["after"])
@@ -191,13 +191,13 @@ def weak_proof(state: State) -> str:
 
 
 # --- where it is ----------------------------------------------------------------------------------------------------------
-def shown_locations(state: State) -> list[Location]:
+def shown_locations(state: Diagnosis) -> list[Location]:
     """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
     left = {c for (c, _), e in state.proofs.fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
     return sorted((p for p in state.locations if p.channel in left), key=lambda p: -p.share)
 
 
-def windows_text(state: State, location: Location) -> str:
+def windows_text(state: Diagnosis, location: Location) -> str:
     """The windows of a location, by log."""
     texts, parts = [], state.rig.parts
     for number in dict.fromkeys(log for log, _, _ in location.windows):
@@ -206,14 +206,14 @@ def windows_text(state: State, location: Location) -> str:
     return "; ".join(texts)
 
 
-def places(state: State) -> list[str]:
+def places(state: Diagnosis) -> list[str]:
     """Where effects may be: the channels, and the rig if there are such candidates."""
     of_rig = any("rig" in row for row in detectable(state.screening).values())
     return [*(str(c + 1) for c in state.rig.channels), *(["rig"] if of_rig else [])]
 
 
 # --- numbers --------------------------------------------------------------------------------------------------------------
-def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
+def effect_values(state: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
     c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
     effect, values = CATALOGUE[n.name], n.parameters.items()
@@ -237,17 +237,16 @@ def comment(rig: RigModel, p: KnownParameter) -> str:
     )
 
 
-def error_columns(state: State) -> list[tuple[str, str, int]]:
+def error_columns(state: Diagnosis) -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
     return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
-def correction_texts(state: State) -> Iterator[str]:
+def correction_texts(state: Diagnosis) -> Iterator[str]:
     """What each form correction is, in a line."""
     for k in state.models.corrections:
-        first = state.rig.channels[0] if k.channel is None else k.channel
-        values = list(values_of_effect(state.models.final[first], k.correction, first).items())
+        values = list(values_of_effect(state.models.final, k.correction, k.channel).items())
         shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
         where = words.where(place_of(k.channel))
@@ -255,7 +254,7 @@ def correction_texts(state: State) -> Iterator[str]:
         yield f"{what}: {shown}{more}"
 
 
-def ranking(state: State) -> list[Candidate]:
+def ranking(state: Diagnosis) -> list[Candidate]:
     """Candidates by gain in their last try: accepted ones first, then by gain."""
     last: dict[tuple[str, int | None], Candidate] = {}
     for t in state.selection.candidates:

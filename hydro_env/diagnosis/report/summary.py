@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from ..result import Diagnosis
 from ..stages.naming import NamedEffect
 from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE
-from ..stages.values import known_parameters
 from . import statements as say
 from . import wording as words
-
-if TYPE_CHECKING:
-    from ..result import Diagnosis
 
 #: Lines at most: those of a small terminal.
 LINES = 20
@@ -89,7 +85,7 @@ def _tried(state: Diagnosis) -> list[str]:
 def _known(state: Diagnosis) -> str:
     """The known parameters that moved most."""
     own = state.rig.own  # of a reduced model: its nominal values stand for nothing
-    known = [p for p in known_parameters(state.rig, state.models.shown) if p.moved and abs(p.change) >= 0.005]
+    known = [p for p in state.known if p.moved and abs(p.change) >= 0.005]
     rows = sorted(known, key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"

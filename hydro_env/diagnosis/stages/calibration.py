@@ -11,12 +11,12 @@ import numpy as np
 from ...errors import InputError, nearest
 from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
-from ..estimation.estimate import Estimate, joined
+from ..estimation.estimate import Estimate, Estimates, distinct, joined
 from ..estimation.fit import Fit, noise_of
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
 from ..estimation.local_minima import restart_friction
 from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
-from ..logs import Estimates, Given, Logs, distinct
+from ..logs import Logs
 from ..models.base import RigModel, effect_in, given_repeats
 from ..settings import Settings
 from .row_times import without_outliers
@@ -33,7 +33,7 @@ FEW = 20
 
 @dataclass(frozen=True)
 class Calibrated:
-    """The calibrated model beside the logs; `given` as in `Given`. `backlashes` are those of couplings that rattle, by a first
+    """The calibrated model beside the logs, after the one as `given`. `backlashes` are those of couplings that rattle, by a first
     look: `logs` follow the measured speed there. `plain` are the estimates of those channels on which the form of given effects
     was corrected since, before that."""
 
@@ -45,12 +45,11 @@ class Calibrated:
     plain: Estimates = field(default_factory=dict)
 
 
-def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
+def run(logs: Logs, given: Estimates, findings: list[Finding], chosen: Chosen | None = None) -> Calibrated:
     """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some.
 
-    `chosen` are the parameters to adjust, by default all that may be.
+    `given` and `findings` are of the model as given, `chosen` the parameters to adjust, by default all that may be.
     """
-    logs = given.logs
     fit, estimates = logs.fit, calibrate(logs.fit, chosen=chosen)
     rig, found = without_outliers(fit.rig, estimates)
     if found:
@@ -60,8 +59,7 @@ def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
     fit.rescore(list(estimates.values()))
     fine, _ = without_outliers(logs.fine, estimates)
     held_out, more = (fine, []) if logs.held_out is logs.fine else without_outliers(logs.held_out, estimates)
-    findings = [*given.findings, *found, *more]
-    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, findings)
+    return Calibrated(Logs(fit, fine, held_out), given, estimates, [*findings, *found, *more])
 
 
 def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:

@@ -17,12 +17,11 @@ import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates, distinct
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import Unknown
-from ..logs import Estimates, distinct
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
 from .candidates import Correction, Selection, penalty_per_parameter

@@ -17,9 +17,9 @@ from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
+from ..estimation.estimate import Estimates, distinct
 from ..estimation.noise import noise_floor
 from ..input.parts import Part, timed
-from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or

@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate, joined
+from ..estimation.estimate import Estimate, Estimates, distinct, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import best_of_each, best_on_early_window, extensions
-from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ABSENT, OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
