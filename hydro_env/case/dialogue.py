@@ -18,10 +18,9 @@ from ..pages import beside_results
 from . import command
 from . import folder as cases
 from .folder import CaseFile, Place, Question, Round
-from .hypotheses import certainty, expected, places_of
+from .hypotheses import certainty, expected, places_of, with_experiment
 from .page import case_page
 from .sensors import SENSORS, Shown, costs_of, shown
-from .unseen import with_experiment
 
 #: From this probability of the best answer on a case is sure; names that leave something reach 0.88 (`naming.INCOMPLETE`).
 SURE = 0.9

@@ -23,7 +23,7 @@ from ..measured import Mapping as LogMapping
 from ..plant import PlantModel
 from .estimation.estimate import Estimates, Vector
 from .estimation.fit import Fit
-from .opening import opened
+from .logs import opened
 from .settings import Settings
 from .stages import calibration, consistency, uncertainty
 from .stages.calibration import Chosen, check_chosen
@@ -66,7 +66,7 @@ class Calibration:
     def as_dict(self) -> dict[str, Any]:
         """The parameters as under "calibrated" in diagnosis.json, the RMS errors of the residuals, and the warnings."""
         left = {
-            n: {k: getattr(r, k) for k in ("noise", "before", "after")} for n, r in self.residuals.items()
+            n: {"noise": r.noise, "before": r.before, "after": r.after} for n, r in self.residuals.items()
         }
         known = {n: {"nominal": p.nominal, **vars(p.estimate)} for n, p in self.parameters.items()}
         return {"calibrated": known, "residuals": left, "warnings": self.warnings}

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -243,8 +242,7 @@ class Trial:
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
         own = DynamicRig(rig.model, parts, jobs=rig.jobs, progress=rig.progress, without=rig.without)
-        with closing(own):
-            results = own.predict([r for each in self._requests for r in each])
+        results = own.predict([r for each in self._requests for r in each])
         # The segments of a channel are all signals of the first experiment, then those of the next one.
         every = [{c: v.reshape(len(parts), len(UNITS), -1) for c, v in result.items()} for result in results]
         allowed, pressure = np.ones((len(parts), 2), bool), [*UNITS].index("pressure")

@@ -19,8 +19,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel
-from .logs import Logs
-from .opening import opened
+from .logs import Logs, opened
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (

@@ -275,8 +275,5 @@ def test_threads_may_ask_for_new_inputs_at_the_same_time(logs: Path, often_switc
     """Many short parts of a log, in ever other combinations, so that threads keep new inputs all the time."""
     parts = read_parts([f"{logs}/fit_1.csv@{0.04 * n:.2f}:{0.04 * n + 0.1:.2f}" for n in range(60)], None)
     rig = DynamicRig(load_model("paper"), parts, jobs=8)
-    try:
-        for count in range(1, 31):
-            rig.predict([Request(c, {"Kq": 0.3 + 0.001 * n}) for n in range(count) for c in (0, 1)])
-    finally:
-        rig.close()
+    for count in range(1, 31):
+        rig.predict([Request(c, {"Kq": 0.3 + 0.001 * n}) for n in range(count) for c in (0, 1)])

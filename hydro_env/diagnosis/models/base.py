@@ -240,13 +240,10 @@ class RigModel:
         return self
 
     def view(self, **changes: Any) -> Self:
-        """The same model with other values of some attributes; what it holds open is shared."""
+        """The same model with other values of some attributes; its threads are shared."""
         twin = copy(self)
         vars(twin).update(changes)
         return twin
-
-    def close(self) -> None:
-        """Ends what the model holds open."""
 
 
 def given_effects(rig: RigModel, channel: int) -> list[Effect]:

@@ -77,7 +77,7 @@ class DynamicRig(RigModel):
         #: A plant of the model for each number of rigs, effects and way of stepping, of which every batch takes a copy: to
         #: make one takes longer than to copy it.
         self._plant = cache(partial(Plant, model, tolerance=tolerance, dtype=dtype, block=BLOCK))
-        # The plant's kernel lets other threads of this process run beside it.
+        # The plant's kernel lets other threads of this process run beside it. They end with the last view of the rig.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
         #: Effects that every simulation has, whatever is asked for.
@@ -208,12 +208,6 @@ class DynamicRig(RigModel):
         else:
             wanted = effects.union(*(group for group in self._shared if group & effects))
         return tuple(n for n in CATALOGUE if n in wanted)
-
-    def close(self) -> None:
-        """Ends the threads, if there are any."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
 
     def _pack(self, wanted: list[list[Side]]) -> list[list[Side]]:
         """Rigs: two of a single channel make one where the channels do not act on each other.

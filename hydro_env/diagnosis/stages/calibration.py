@@ -8,17 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...errors import InputError, nearest
+from ...errors import InputError, check_known
 from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
 from ..estimation.estimate import Estimate, Estimates, distinct, joined
-from ..estimation.fit import Fit, noise_of
+from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
 from ..estimation.local_minima import restart_friction
 from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
 from ..logs import Logs
 from ..models.base import RigModel, effect_in, given_repeats
-from ..settings import Settings
 from .row_times import without_outliers
 from .screening import Screening
 
@@ -85,10 +84,7 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
 def check_chosen(rig: RigModel, chosen: Chosen) -> None:
     """InputError for a parameter that calibration cannot adjust, or bounds that do not hold its value."""
     known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
-    for name in chosen:
-        if name not in known:
-            hint = f"did you mean {near!r}? " if (near := nearest(name, known)) else ""
-            raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
+    check_known("unknown parameter", chosen, known)
     for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
         around = u.low <= u.center <= u.high and math.isfinite(u.high - u.low)
         if not around or (u.log and not u.low > 0.0):
@@ -96,14 +92,6 @@ def check_chosen(rig: RigModel, chosen: Chosen) -> None:
             raise InputError(
                 f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"
             )
-
-
-def fit_as_given(rig: RigModel, settings: Settings | None = None) -> tuple[Fit, Estimates]:
-    """The model as given beside its logs: the noise as it shows that, and its simulations by channel."""
-    unknown = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
-    fit = Fit(rig, unknown, settings or Settings())
-    given = as_given(fit)
-    return replace(fit, noise=noise_of(rig, given)), given
 
 
 def as_given(fit: Fit) -> Estimates:

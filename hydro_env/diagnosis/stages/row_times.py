@@ -146,6 +146,5 @@ def _simulated(rig: RigModel, parts: Sequence[Part]) -> tuple[list[Segment], lis
     """All segments, of every row, and what the model as given shows there."""
     other = rig.with_parts(list(parts), True)
     shown = other.predict([Request(c, {}) for c in rig.channels])
-    other.close()
     segments = [s for c in rig.channels for s in other.segments[c]]
     return segments, [shown[rig.channels.index(s.channel)][s.channel][s.place] for s in segments]
