@@ -199,7 +199,7 @@ def check_options(folder: Path, case: CaseFile, options: dict[str, Any], given: 
         if copy in case.files:
             same = os.path.isfile(value) and sha256_of(Path(value)) == case.files[copy]
         if not same:
+            name = f"--{option.replace('_', '-')}"
             raise InputError(
-                f"{folder}: --{option.replace('_', '-')} is {shown(value)}, but the case was begun with {shown(first)}; give the "
-                "same, or begin another case"
+                f"{folder}: {name} is {shown(value)}; give {shown(first)}, as the case was begun"
             )

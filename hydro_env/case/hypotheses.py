@@ -125,4 +125,6 @@ def asked(found: Diagnosis) -> list[Question]:
 
 def with_experiment(found: Diagnosis) -> Diagnosis:
     """The diagnosis with an experiment for what the logs would not show, where it proposes none."""
-    return found if found.next_experiment else replace(found, next_experiment=proposed(found, asked(found)))
+    return (
+        found if found.next_experiment else replace(found, next_experiment=proposed(found, asked(found), {}))
+    )

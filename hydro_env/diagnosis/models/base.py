@@ -210,9 +210,15 @@ class RigModel:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
         raise NotImplementedError
 
-    def candidates(self) -> list[str]:
-        """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
+    def supported(self) -> list[str]:
+        """Effects of the catalogue that this model and its logs can have."""
         raise NotImplementedError
+
+    def candidates(self) -> list[str]:
+        """Those of them that are sought: on one channel at least they are not given."""
+        wanted = [n for n in self.supported() if n not in self.without]
+        places = {n: self.channels if CATALOGUE[n].scope == "channel" else (None,) for n in wanted}
+        return [n for n, on in places.items() if not all(self.has(n, c) for c in on)]
 
     def predict(self, requests: Sequence[Request]) -> list[Samples]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""

@@ -106,14 +106,10 @@ class DynamicRig(RigModel):
         own = [n for n in BASE if n not in ("Fc", "Fs") or self.given(n, channel) > 0.0]
         return own + given_parameters(self, channel)
 
-    def candidates(self) -> list[str]:
+    def supported(self) -> list[str]:
         both, declared = len(self.channels) == 2, self.model.declared
         every = (e for e in CATALOGUE.values() if both or not e.couples_channels)
-        usable = (e for e in every if not e.family or (e.family != FAMILY and e.name in declared))
-        places = {e.name: self.channels if e.scope == "channel" else (None,) for e in usable}
-        return [
-            n for n, on in places.items() if n not in self.without and not all(self.has(n, c) for c in on)
-        ]
+        return [e.name for e in every if not e.family or (e.family != FAMILY and e.name in declared)]
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[Samples]:

@@ -139,7 +139,7 @@ def _lacks(state: Diagnosis) -> str:
 
 def _unknown(state: Diagnosis) -> str:
     shown = shown_locations(state)[:2]
-    places = [f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown]
+    places = [f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}, {p.regime}" for p in shown]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
     text = f"Something is missing that no effect of the catalogue explains; it shows in {where}."
     if state.effects:

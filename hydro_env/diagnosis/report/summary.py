@@ -52,7 +52,7 @@ def _effect(state: Diagnosis, n: NamedEffect) -> str:
 def _places(state: Diagnosis) -> list[str]:
     lines = []
     for p in say.shown_locations(state)[:2]:
-        where = f"{words.equation(p.equation)} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
+        where = f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
         regime = f"most at {p.regime}" if p.regime != "everywhere" else p.regime
         lines.append(f"  where: {where}, {regime}; worst {say.windows_text(state, p)}")
     return lines

@@ -89,9 +89,8 @@ def check_chosen(rig: RigModel, chosen: Chosen) -> None:
         around = u.low <= u.center <= u.high and math.isfinite(u.high - u.low)
         if not around or (u.log and not u.low > 0.0):
             need = "positive bounds" if u.log else "bounds"
-            raise InputError(
-                f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"
-            )
+            given = f"{u.low:g} to {u.high:g} {u.unit}"
+            raise InputError(f"{u.name}: {given} are no {need} around {u.center:g} of the model")
 
 
 def as_given(fit: Fit) -> Estimates:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -62,7 +61,7 @@ def run(state: Diagnosis) -> NextExperiment | None:
 
 
 def proposed(
-    state: Diagnosis, asked: Sequence[Question], wanted: Mapping[int, Operation] = MappingProxyType({})
+    state: Diagnosis, asked: Sequence[Question], wanted: Mapping[int, Operation]
 ) -> NextExperiment | None:
     """The experiment that shows best what is asked and wanted; None where there is none."""
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):

@@ -172,8 +172,6 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
     every = {c: _promising(search, c, screening, number, short) for c in channels}
     every = {c: own for c, own in every.items() if own}
-    if not every:
-        return []
     short_refit(fit, [p for own in every.values() for p in own])
     refits = {c: _within_reach(search.present[c], own, full) for c, own in every.items()}
     solve(fit, [p for own in refits.values() for p in own], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
@@ -238,8 +236,6 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
             shows = {s.effect for s in search.screening if s.channel == c and s.shows}
             names.append([n for n in search.names if n in shows - here])
             presents[c] = search.present[c]
-    if not presents:
-        return {}
     found = zip(presents, best_on_early_window(fit, [*presents.items()], names), strict=True)
     # The best so far has been settled; then the best of the others is, too.
     others = {c: [*refits[c][1:], *own] for c, own in found}
