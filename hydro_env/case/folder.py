@@ -200,6 +200,4 @@ def check_options(folder: Path, case: CaseFile, options: dict[str, Any], given: 
             same = os.path.isfile(value) and sha256_of(Path(value)) == case.files[copy]
         if not same:
             name = f"--{option.replace('_', '-')}"
-            raise InputError(
-                f"{folder}: {name} is {shown(value)}; give {shown(first)}, as the case was begun"
-            )
+            raise InputError(f"{folder}: {name} is {shown(value)}, the case was begun with {shown(first)}")

@@ -27,7 +27,6 @@ from .logs import opened
 from .settings import Settings
 from .stages import calibration, consistency, uncertainty
 from .stages.calibration import Chosen, check_chosen
-from .stages.form_correction import Models
 from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, estimated_model, known_parameters
 from .stages.warnings import about_bounds, about_logs
@@ -111,10 +110,8 @@ def estimate(
             chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
             check_chosen(rig, chosen)
         found = calibration.run(*consistency.run(all_logs, accept), chosen)
-        models = Models(found.given, found.estimates, found.estimates, found.estimates, {})
-        models = uncertainty.run(found.logs, uncertainty.settle(found.logs, models))
-        after = models.final
-        proof = prove(found.logs.fine, {"before": models.given, "calibrated": after, "after": after})
+        after = uncertainty.run(found.logs, uncertainty.settle(found.logs, found.estimates))
+        proof = prove(found.logs.fine, {"before": found.given, "calibrated": after, "after": after})
         known = {p.name: p for p in known_parameters(rig, after)}
         improved = estimated_model(rig, after, f"{rig.model.name} calibrated")
         warnings = [*_warnings(found.logs.fit, after, found.findings, proof)]

@@ -75,11 +75,9 @@ class Operation:
     apart: Array
 
     @classmethod
-    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
-        """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
+    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation:
+        """What an estimate with intervals is to predict of a channel on the held-out logs."""
         differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
-        if not differences:
-            return None
         joined = np.concatenate(differences, axis=1)
         return cls(estimate, joined @ joined.T / joined.size)
 

@@ -129,7 +129,8 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
         models = do(form_correction.run, calibrated.given, chosen, first, forms)
-        models = do(uncertainty.run, logs, do(uncertainty.settle, logs, models))
+        shown = do(uncertainty.run, logs, do(uncertainty.settle, logs, models.shown))
+        models = models.with_shown(shown)
         return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))
 
     fewer, found = selected, judged(selected)

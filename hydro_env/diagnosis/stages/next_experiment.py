@@ -96,8 +96,8 @@ def operations(state: Diagnosis) -> dict[int, Operation]:
     if state.verdict == "effects" and not state.best_guess:
         channels = [c for c in channels if state.proofs.left([c]) > AT_NOISE]
     held_out = state.logs.fit.on(state.logs.held_out)
-    found = {c: Operation.of(held_out, state.models.final[c], c) for c in channels}
-    return {c: each for c, each in found.items() if each is not None}
+    final = {c: state.models.final[c] for c in channels if state.models.final[c].intervals}
+    return {c: Operation.of(held_out, p, c) for c, p in final.items()}
 
 
 def _tied(state: Diagnosis, channel: int | None) -> dict[str, Estimate]:

@@ -78,7 +78,8 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     found = doubts(logs, selection.accepted, models.final, proofs) if judged else []
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere, [])
-    bare = uncertainty.run(logs, models.as_named())
+    bare = models.as_named()
+    bare = bare.with_shown(uncertainty.run(logs, bare.shown))
     absent = list(_absent(logs, selection.accepted, models.final))
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [], absent)
 
