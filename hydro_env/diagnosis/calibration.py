@@ -26,7 +26,7 @@ from .estimation.fit import Fit
 from .logs import opened
 from .settings import Settings
 from .stages import calibration, consistency, uncertainty
-from .stages.calibration import Chosen, check_chosen
+from .stages.calibration import check_chosen
 from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, estimated_model, known_parameters
 from .stages.warnings import about_bounds, about_logs
@@ -105,10 +105,8 @@ def estimate(
         count=lambda done: progress("calibrating", done),
     ) as all_logs:  # fmt: skip
         rig = all_logs.rig
-        chosen: Chosen | None = None
-        if parameters is not None:
-            chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-            check_chosen(rig, chosen)
+        chosen = parameters if isinstance(parameters, Mapping | None) else dict.fromkeys(parameters)
+        check_chosen(rig, chosen or {})
         found = calibration.run(*consistency.run(all_logs, accept), chosen)
         after = uncertainty.run(found.logs, uncertainty.settle(found.logs, found.estimates))
         proof = prove(found.logs.fine, {"before": found.given, "calibrated": after, "after": after})

@@ -78,7 +78,7 @@ class Diagnosis(Confirmed):
 
     def summary(self) -> str:
         """The report in about twenty lines of text."""
-        from .report.summary import summary
+        from .report.statements import summary
 
         return summary(self)
 
