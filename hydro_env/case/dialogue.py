@@ -177,7 +177,6 @@ def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
 def said(folder: Path, case: CaseFile) -> str:
     """Where the case stands, in at most about fifteen lines."""
     last = case.rounds[-1]
-    assert last.verdict is not None
     logs = sum(len(r.logs) for r in case.rounds)
     lines = [f"{folder}: {logs} logs, {len(case.asked)} questions so far; verdict {last.verdict}"]
     lines += [f"  remark: the last log {text}" for text in last.remarks]

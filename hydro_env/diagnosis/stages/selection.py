@@ -341,8 +341,6 @@ def prefer_form(search: Search) -> None:
     """Drops the last effect of a channel if another form of those accepted before, or of given ones, explains more: no rig has
     exactly the laws of the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
-    if not fit.rig.has_hidden_states:
-        return
     for c in fit.rig.channels:
         for one in reversed(search.on(c)):
             present, less = search.present[c], one.without
