@@ -111,15 +111,14 @@ def _counted(part: Part, apart: Sequence[tuple[Segment, np.ndarray]], note: str)
     """The part without the measurements (NaN) that two readings of the times put `apart` by more than their noise."""
     log, lost = part.log, 0.0
     for s, difference in apart:
-        values = log.get(s.signal)
-        if values is None:  # made of other signals
+        if s.signal not in vars(log):  # made of other signals
             continue
         # What swings passes zero on its way: the largest difference nearby tells.
         near = maximum_filter1d(np.abs(difference), 2 * max(1, round(NEAR_S / s.period)) + 1)
         far = near > APART * noise_floor(s.measured, s.used, s.period)
-        values = values.copy()
+        values = getattr(log, s.signal).copy()
         values[far, s.channel] = np.nan
-        log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
+        log = replace(log, **{s.signal: values})
         lost = max(lost, float(np.mean(far)))
     notes = [note] if note else []
     if lost > 0.005:
