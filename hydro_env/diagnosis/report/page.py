@@ -6,7 +6,7 @@ from __future__ import annotations
 import textwrap
 from datetime import date
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from ... import __version__
 from ...pages import COLOURS, figure, render, svg
 from ...plant import CATALOGUE
 from ..models.base import Segment
-from ..result import Diagnosis
 from ..stages.localisation import Location
 from ..stages.screening import detectable, hidden_by_calibration
 from . import statements as say
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: Points of a trace in a picture: one for each pixel of its width.
 POINTS = 900

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ...plant import CATALOGUE
 from ..logs import place_of
 from ..models.base import RigModel
-from ..result import Diagnosis
 from ..stages.candidates import Candidate
 from ..stages.localisation import Location
 from ..stages.naming import NamedEffect
@@ -18,6 +18,9 @@ from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5

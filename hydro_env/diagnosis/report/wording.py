@@ -87,7 +87,7 @@ def known(symbol: str, c: int, value: float, rig: RigModel) -> str:
     effect, _, own = symbol.rpartition(".")
     if effect:
         return f"{title(effect)}: {CATALOGUE[effect].parameter(own).title}"
-    text = (PARAMETERS | rig.own)[symbol].title
+    text = {**PARAMETERS, **rig.own}[symbol].title
     if symbol == "Kq":
         alpha, rated, resistance, spring = (rig.model.value(n, c) for n in ("alpha", "u_rated", "R", "k"))
         stroke = alpha * rated / (resistance * spring)
