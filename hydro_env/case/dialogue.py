@@ -18,10 +18,9 @@ from ..pages import beside_results
 from . import command
 from . import folder as cases
 from .folder import CaseFile, Place, Question, Round
-from .hypotheses import certainty, expected, places_of
+from .hypotheses import certainty, expected, places_of, with_experiment
 from .page import case_page
 from .sensors import SENSORS, Shown, costs_of, shown
-from .unseen import with_experiment
 
 #: From this probability of the best answer on a case is sure; names that leave something reach 0.88 (`naming.INCOMPLETE`).
 SURE = 0.9
@@ -85,9 +84,7 @@ def _with(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
     if not logs or (waiting := case.rounds[-1]).verdict is not None:
         return cases.added(folder, case, logs) if logs else case
     if cases.hashes_of(logs) != [case.files[cases.path_of(w)] for w in waiting.logs]:
-        raise InputError(
-            f"{folder}: logs of an interrupted call wait; call it without logs, then give others"
-        )
+        raise InputError(f"{folder}: logs of an interrupted call wait; call it without logs first")
     return case
 
 
@@ -95,18 +92,14 @@ def _diagnosed(
     folder: Path, case: CaseFile, arguments: dict[str, Any], jobs: int | None, quiet: bool
 ) -> CaseFile:
     """Diagnoses all logs and adds what was found: the round's folder, the question, the page, and case.json last."""
-    model, mapping = (
-        str(folder / copy) if copy in case.files else case.options[name]
-        for name, copy in cases.COPIED.items()
-    )
+    copies = {name: folder / copy for name, copy in cases.COPIED.items() if copy in case.files}
+    given = {name: copies.get(name, case.options[name]) for name in cases.COPIED}
     fit = [str(folder / word) for r in case.rounds for word in r.logs]
     for left in folder.glob(".round_*"):  # of a call that was killed
         shutil.rmtree(left)
     with output_folder(folder / f"round_{len(case.rounds)}") as work:
-        found = command.run(
-            fit, [str(folder / word) for word in case.sealed], work, jobs=jobs, quiet=quiet, summary=False, model=model,
-            mapping=mapping, **arguments,
-        )  # fmt: skip
+        sealed = [str(folder / word) for word in case.sealed]
+        found = command.run(fit, sealed, work, jobs=jobs, quiet=quiet, summary=False, **given, **arguments)
     number, places = len(case.asked) + 1, places_of(found)
     if certainty(places) < SURE:
         found = with_experiment(found)
@@ -167,12 +160,8 @@ def _status(found: Diagnosis) -> str:
 
 def recorded(logs: Logs) -> list[str]:
     """What the logs hold beside time, command and speed, as `hydro-env hide --record` calls it."""
-    every = [part.log for part in (*logs.fit.rig.parts, *logs.held_out.parts)]
-    return [
-        n
-        for n, signals in _LOGGED.items()
-        if any(log.has(signals[0], c) for log in every for c in log.channels)
-    ]
+    every = [(p.log, c) for p in (*logs.fit.rig.parts, *logs.held_out.parts) for c in p.log.channels]
+    return [n for n, signals in _LOGGED.items() if any(log.has(signals[0], c) for log, c in every)]
 
 
 def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
@@ -188,7 +177,6 @@ def _remarks(found: Diagnosis, case: CaseFile) -> list[str]:
 def said(folder: Path, case: CaseFile) -> str:
     """Where the case stands, in at most about fifteen lines."""
     last = case.rounds[-1]
-    assert last.verdict is not None
     logs = sum(len(r.logs) for r in case.rounds)
     lines = [f"{folder}: {logs} logs, {len(case.asked)} questions so far; verdict {last.verdict}"]
     lines += [f"  remark: the last log {text}" for text in last.remarks]
@@ -204,10 +192,9 @@ def said(folder: Path, case: CaseFile) -> str:
 
 def _asked(folder: Path, case: CaseFile, question: Question) -> list[str]:
     lines = [f"question {len(case.asked)} of {case.options['questions']}: {question.why}"]
-    if question.expected > question.now:
-        lines += [
-            f"  the best answer is right with {question.now:.2f} now, {question.expected:.2f} expected then"
-        ]
+    now, then = question.now, question.expected
+    if then > now:
+        lines.append(f"  the best answer is right with {now:.2f} now, {then:.2f} expected then")
     answer, out = "LOG", f"answer_{len(case.asked)}"
     if question.commands is not None:
         file = folder / question.commands

@@ -130,8 +130,6 @@ def begin(folder: Path, logs: Sequence[str], sealed: Sequence[str], options: dic
     """Makes the folder of a new case, which is not there or empty. InputError for what cannot be read."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: neither a case nor empty; name a new folder for --case")
-    if not sealed:
-        raise InputError("a case needs held-out logs: give --sealed LOG...")
     load_model(options["model"])
     practice = (Path(path_of(logs[0])).parent / "truth.json").exists()
     with suppress(OSError):
@@ -199,7 +197,5 @@ def check_options(folder: Path, case: CaseFile, options: dict[str, Any], given: 
         if copy in case.files:
             same = os.path.isfile(value) and sha256_of(Path(value)) == case.files[copy]
         if not same:
-            raise InputError(
-                f"{folder}: --{option.replace('_', '-')} is {shown(value)}, but the case was begun with {shown(first)}; give the "
-                "same, or begin another case"
-            )
+            name = f"--{option.replace('_', '-')}"
+            raise InputError(f"{folder}: {name} is {shown(value)}, the case was begun with {shown(first)}")

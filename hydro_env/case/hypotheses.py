@@ -1,4 +1,5 @@
-"""What is open after a diagnosis, with probabilities, and how likely the best answer is expected to be right after an experiment.
+"""What is open after a diagnosis, with probabilities, what an experiment is to show of it, and how likely the best answer is
+expected to be right then.
 
 The probabilities are those of naming. Where nothing is named, the candidates that explain most share what unconfirmed names are
 worth, by their tempered deviance. Where parameters explain the logs, candidates count by what they gain beyond what they must
@@ -10,18 +11,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from ..diagnosis import Diagnosis
-from ..diagnosis.experiment_design import SECONDS
-from ..diagnosis.models.base import BLOCK_S
+from ..diagnosis.experiment_design import SECONDS, Question
+from ..diagnosis.models.base import BLOCK_S, effect_in
 from ..diagnosis.stages.naming import PARAMETERS, UNCONFIRMED, UNKNOWN
-from ..diagnosis.stages.next_experiment import CALIBRATION, questions
+from ..diagnosis.stages.next_experiment import CALIBRATION, proposed, questions
+from ..diagnosis.stages.screening import medium_starts
 from .folder import Place
 
 Distances = Mapping[tuple[str, str], float]
 
 #: Digits of a probability, and the least share that is listed on its own.
 DIGITS, LISTED = 3, 0.005
+#: Effects that an experiment is to show at most: as many models as where names compete on both channels.
+MAX_UNSEEN = 6
 
 
 def places_of(found: Diagnosis) -> list[Place]:
@@ -98,3 +103,28 @@ def _expected(place: Place, apart: Distances, temper: float) -> float:
         right += p * max(weights) / sum(weights)
     best = max(shares.values(), default=0.0)
     return round(max(best, right), DIGITS)
+
+
+# --- where nothing seems to be missing: effects that the logs would not show ------------------------------------------------
+def asked(found: Diagnosis) -> list[Question]:
+    """What an experiment is to part: what the diagnosis leaves open; where nothing is missing the model without effects from it
+    with one that the logs would not show, those first that they nearly show. What calibration takes up no experiment shows."""
+    if found.verdict not in ("none", "calibration") or not found.rig.has_hidden_states:
+        return questions(found)
+    wanted: list[Question] = []
+    for s in sorted((s for s in found.screening if not s.shows and not s.hidden), key=lambda s: -s.visible):
+        if s.channel is not None and (bare := found.models.calibrated[s.channel]).columns:
+            effect = effect_in(found.rig, s.effect, s.channel)
+            start = medium_starts(effect, found.logs.seconds)[0]
+            models = {CALIBRATION: bare, s.effect: bare.extended(effect, start, s.channel)}
+            wanted.append(Question(s.channel, models))
+    del wanted[MAX_UNSEEN:]
+    found.logs.fit.evaluate([p for question in wanted for p in question.models.values()])
+    return wanted
+
+
+def with_experiment(found: Diagnosis) -> Diagnosis:
+    """The diagnosis with an experiment for what the logs would not show, where it proposes none."""
+    return (
+        found if found.next_experiment else replace(found, next_experiment=proposed(found, asked(found), {}))
+    )

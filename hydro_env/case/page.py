@@ -58,10 +58,8 @@ def _probabilities(case: CaseFile) -> Any:
         for name, share in place.hypotheses.items():
             axis.barh(-row, share, left=left, height=0.7, edgecolor="white", linewidth=0.0, **looks[name])
             left += share
-    axis.set_yticks(
-        [-n for n in range(len(bars))],
-        [f"after {n} answers, {words.where(p.channel)}" for n, p in bars],
-    )
+    labels = [f"after {n} answers, {words.where(p.channel)}" for n, p in bars]
+    axis.set_yticks([-n for n in range(len(bars))], labels)
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("probability")
     for name, look in looks.items():

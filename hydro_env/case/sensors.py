@@ -14,8 +14,7 @@ from ..diagnosis.report.wording import plain
 from ..diagnosis.stages.next_experiment import operations
 from ..errors import InputError, suggestion
 from ..limits import Limits
-from .hypotheses import Distances
-from .unseen import asked
+from .hypotheses import Distances, asked
 
 #: Sensors by the names of `hydro-env hide --record`, and the signals that they show.
 SENSORS: dict[str, tuple[str, ...]] = {

@@ -21,14 +21,12 @@ import numpy as np
 from ..measured import Finding, RigLog
 from ..measured import Mapping as LogMapping
 from ..plant import PlantModel
-from .estimation.estimate import Vector
+from .estimation.estimate import Estimates, Vector
 from .estimation.fit import Fit
-from .logs import Estimates
-from .opening import opened
+from .logs import opened
 from .settings import Settings
 from .stages import calibration, consistency, uncertainty
-from .stages.calibration import Chosen, check_chosen
-from .stages.form_correction import Models
+from .stages.calibration import check_chosen
 from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, estimated_model, known_parameters
 from .stages.warnings import about_bounds, about_logs
@@ -67,7 +65,7 @@ class Calibration:
     def as_dict(self) -> dict[str, Any]:
         """The parameters as under "calibrated" in diagnosis.json, the RMS errors of the residuals, and the warnings."""
         left = {
-            n: {k: getattr(r, k) for k in ("noise", "before", "after")} for n, r in self.residuals.items()
+            n: {"noise": r.noise, "before": r.before, "after": r.after} for n, r in self.residuals.items()
         }
         known = {n: {"nominal": p.nominal, **vars(p.estimate)} for n, p in self.parameters.items()}
         return {"calibrated": known, "residuals": left, "warnings": self.warnings}
@@ -107,15 +105,11 @@ def estimate(
         count=lambda done: progress("calibrating", done),
     ) as all_logs:  # fmt: skip
         rig = all_logs.rig
-        chosen: Chosen | None = None
-        if parameters is not None:
-            chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-            check_chosen(rig, chosen)
-        found = calibration.run(consistency.run(all_logs, accept), chosen)
-        models = Models(found.given, found.estimates, found.estimates, found.estimates, {})
-        models = uncertainty.run(found.logs, uncertainty.settle(found.logs, models))
-        after = models.final
-        proof = prove(found.logs.fine, {"before": models.given, "calibrated": after, "after": after})
+        chosen = parameters if isinstance(parameters, Mapping | None) else dict.fromkeys(parameters)
+        check_chosen(rig, chosen or {})
+        found = calibration.run(*consistency.run(all_logs, accept), chosen)
+        after = uncertainty.run(found.logs, uncertainty.settle(found.logs, found.estimates))
+        proof = prove(found.logs.fine, {"before": found.given, "calibrated": after, "after": after})
         known = {p.name: p for p in known_parameters(rig, after)}
         improved = estimated_model(rig, after, f"{rig.model.name} calibrated")
         warnings = [*_warnings(found.logs.fit, after, found.findings, proof)]

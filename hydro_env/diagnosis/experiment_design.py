@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -76,11 +75,9 @@ class Operation:
     apart: Array
 
     @classmethod
-    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
-        """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
+    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation:
+        """What an estimate with intervals is to predict of a channel on the held-out logs."""
         differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
-        if not differences:
-            return None
         joined = np.concatenate(differences, axis=1)
         return cls(estimate, joined @ joined.T / joined.size)
 
@@ -243,8 +240,7 @@ class Trial:
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
         own = DynamicRig(rig.model, parts, jobs=rig.jobs, progress=rig.progress, without=rig.without)
-        with closing(own):
-            results = own.predict([r for each in self._requests for r in each])
+        results = own.predict([r for each in self._requests for r in each])
         # The segments of a channel are all signals of the first experiment, then those of the next one.
         every = [{c: v.reshape(len(parts), len(UNITS), -1) for c, v in result.items()} for result in results]
         allowed, pressure = np.ones((len(parts), 2), bool), [*UNITS].index("pressure")

@@ -19,8 +19,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel
-from .logs import Logs
-from .opening import opened
+from .logs import Logs, opened
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (
@@ -114,8 +113,8 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
         say(STAGES[stage])
         return stage(*needs, **more)
 
-    given = do(consistency.run, logs, accept)
-    calibrated, forms = do(form_correction.of_given, do(calibration.run, given))
+    calibrated = do(calibration.run, *do(consistency.run, logs, accept))
+    calibrated, forms = do(form_correction.of_given, calibrated)
     calibrated = do(rattling.run, calibrated, calibrated.estimates)
     while True:
         screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)
@@ -130,7 +129,8 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
         models = do(form_correction.run, calibrated.given, chosen, first, forms)
-        models = do(uncertainty.run, logs, do(uncertainty.settle, logs, models))
+        shown = do(uncertainty.run, logs, do(uncertainty.settle, logs, models.shown))
+        models = models.with_shown(shown)
         return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))
 
     fewer, found = selected, judged(selected)

@@ -16,9 +16,8 @@ import pytest
 
 from hydro_env.case import dialogue, folder
 from hydro_env.case.folder import CaseFile, Place
-from hydro_env.case.hypotheses import certainty, expected, places_of
+from hydro_env.case.hypotheses import certainty, expected, places_of, with_experiment
 from hydro_env.case.sensors import SENSORS, Shown, chosen, costs_of, shown
-from hydro_env.case.unseen import with_experiment
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import Diagnosis, Settings, diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals

@@ -58,7 +58,6 @@ def test_threads_change_no_bit(fit_log: Path, followed: tuple[int, ...]) -> None
     shared = DynamicRig(load_model("paper"), parts, jobs=3)
     rigs = DynamicRig(load_model("paper"), parts), shared
     alone, beside = (rig.following(followed).predict(wanted) for rig in rigs)
-    shared.close()
     for one, other in zip(alone, beside, strict=True):
         assert one.keys() == other.keys()
         for c in one:
@@ -98,7 +97,6 @@ def test_what_takes_the_steps_of_another_is_the_same_beside_others_and_on_thread
     moved += [replace(r, like=nominal[2]) for r in pairs[1:]]
     shared = DynamicRig(load_model("paper"), parts, jobs=3)
     beside = shared.following(followed).predict([*moved, *nominal])
-    shared.close()
     rig = DynamicRig(load_model("paper"), parts).following(followed)
     for n in (0, 5, 19, 20, 21, 23, 24, 25, 26):
         alone = rig.predict([[*moved, *nominal][n]])[0]

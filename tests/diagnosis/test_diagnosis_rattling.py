@@ -46,7 +46,7 @@ def test_only_a_coupling_that_rattles_has_the_measured_speed_followed(
     tmp_path: Path, effect: str, seed: int, followed: set[int]
 ) -> None:
     rig = _rig(tmp_path, [effect], seed, base_error=0.1)
-    calibrated = calibration.run(consistency.run(Logs(Fit(rig, {}), rig, rig)))
+    calibrated = calibration.run(*consistency.run(Logs(Fit(rig, {}), rig, rig)))
     found = rattling.run(calibrated, calibrated.estimates)
     logs = found.logs
     assert logs.rig.followed == logs.fine.followed == logs.held_out.followed == followed

@@ -14,7 +14,6 @@ import typer.main
 from hydro_env.cli import app
 from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
-from hydro_env.diagnosis.report import summary
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
 from hydro_env.diagnosis.report.statements import comment, remaining, sentence
@@ -248,7 +247,7 @@ def test_the_terminal_names_known_parameters_to_check(
         for value in (1.63, 1.2)
     ]
     rows[1] = dataclasses.replace(rows[1], symbol="Kq")
-    monkeypatch.setattr(summary, "known_parameters", lambda rig, estimates: rows)
+    monkeypatch.setattr(Diagnosis, "known", rows)
     assert found.model.name  # made with the parameters that the rig has, and kept
     monkeypatch.setattr(found.rig, "own", {})
     assert "J_1 +63 %, Kq_1 +20 %; check J_1: further than usual" in found.summary()

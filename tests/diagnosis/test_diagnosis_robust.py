@@ -232,7 +232,7 @@ def test_the_time_of_a_filter_that_is_calculated_once_a_row_is_in_its_interval(t
     noise = {"speed": 0.1 * RPM}
     fit = Fit(rig, {(c, s.signal): noise.get(s.signal, 1e9) for c in rig.channels for s in rig.segments[c]})
     solve(fit, [estimate], 12)
-    found = effect_values(estimate, "sensor_lag", 0)["time_constant"]
+    found = effect_values({0: estimate}, "sensor_lag", 0)["time_constant"]
     assert found.value == pytest.approx(true - 0.5 * row, abs=0.1 * row)
     wide = widened_by_form(CATALOGUE["sensor_lag"], "time_constant", found, found, row)
     assert wide.low < true < wide.high and wide.high - wide.low < 2.0 * row
@@ -275,8 +275,5 @@ def test_threads_may_ask_for_new_inputs_at_the_same_time(logs: Path, often_switc
     """Many short parts of a log, in ever other combinations, so that threads keep new inputs all the time."""
     parts = read_parts([f"{logs}/fit_1.csv@{0.04 * n:.2f}:{0.04 * n + 0.1:.2f}" for n in range(60)], None)
     rig = DynamicRig(load_model("paper"), parts, jobs=8)
-    try:
-        for count in range(1, 31):
-            rig.predict([Request(c, {"Kq": 0.3 + 0.001 * n}) for n in range(count) for c in (0, 1)])
-    finally:
-        rig.close()
+    for count in range(1, 31):
+        rig.predict([Request(c, {"Kq": 0.3 + 0.001 * n}) for n in range(count) for c in (0, 1)])

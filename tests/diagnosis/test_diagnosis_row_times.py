@@ -13,6 +13,7 @@ from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.row_times import settled, without_outliers
 from hydro_env.plant import load_model, simulate
+from hydro_env.practice.generate import make_practice
 from hydro_env.units import BAR, RPM
 
 #: Of the rows that count: an error is the noise if it is below so many times that.
@@ -78,6 +79,17 @@ def test_what_counts_of_a_healthy_rig_is_explained_to_its_noise(
             error = s.error(shown[c][c])[s.used]
             assert np.sqrt(np.mean(error**2)) < AT_NOISE * NOISE[s.signal], (s.signal, c)
             assert s.used.mean() > least, (s.signal, c)
+
+
+def test_line_pressures_may_have_missing_rows(tmp_path: Path) -> None:
+    make_practice([], record=["line_pressures"], duration=4.0, rate=500.0, runs=("fit_1",)).write(tmp_path)
+    head, *rows = (tmp_path / "fit_1.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text(
+        "\n".join([head, *(row for n, row in enumerate(rows) if n % 11)]) + "\n"
+    )
+    parts = read_parts([tmp_path / "log.csv"], None)
+    (part,) = settled(DynamicRig(load_model("paper"), parts), parts)
+    assert part.uneven is not None and part.log.has("mean_line_pressure", 0)
 
 
 @pytest.mark.parametrize("rate", [100, 1000])

@@ -60,8 +60,8 @@ class Information(Trial):
 def d_optimal(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
     """What shows most about all parameters of the diagnosed model, whatever is open, with the sensor that adds most to that."""
     held_out = found.logs.fit.on(found.logs.held_out)
-    every = {c: Operation.of(held_out, found.models.final[c], c) for c in found.rig.channels}
-    trial = Information(found.logs.fit, (), {c: each for c, each in every.items() if each is not None})
+    sized = {c: p for c, p in found.models.final.items() if p.intervals}
+    trial = Information(found.logs.fit, (), {c: Operation.of(held_out, p, c) for c, p in sized.items()})
     if sure(found) or not trial.operations:
         return None
     design = best_design(trial, rng, max_load(found))

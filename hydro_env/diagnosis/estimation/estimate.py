@@ -148,12 +148,21 @@ class Estimate:
         return better
 
 
+#: Estimates by channel; the same one for both where the whole rig was estimated together.
+Estimates = dict[int, Estimate]
+
+
+def distinct(estimates: Estimates) -> list[Estimate]:
+    """Each estimate once."""
+    return list(dict.fromkeys(estimates.values()))
+
+
 def _effect_of(name: str | float) -> str:
     """The effect of a parameter, with or without a minus."""
     return str(name).removeprefix("-").split(".")[0]
 
 
-def joined(estimates: dict[int, Estimate]) -> Estimate:
+def joined(estimates: Estimates) -> Estimate:
     """The estimates of the channels as one of the rig, in which what the channels share is there once."""
     first = next(iter(estimates.values()))
     if first.channel is None:

@@ -16,7 +16,7 @@ import numpy as np
 from ...plant.scales import swing
 from ..models.base import BLOCK_S, Joined, RigModel, Samples, Segment
 from ..settings import Settings
-from .estimate import Estimate, Vector
+from .estimate import Estimate, Estimates, Vector
 from .noise import WINDOW_S, effective_samples, noise_floor
 
 #: Standard deviations of the noise by (channel, signal), in SI.
@@ -56,7 +56,7 @@ def noise_in(rig: RigModel, segment: Segment, values: Vector) -> float:
     return short if short < MUCH_LESS * found else found
 
 
-def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
+def noise_of(rig: RigModel, estimates: Estimates) -> Noise:
     """The smallest noise that the residual of a model or the bare signal shows, SI."""
     noise: Noise = {}
     for channel, estimate in estimates.items():
@@ -80,7 +80,7 @@ class Fit:
         """The same with other logs, or another view of the model."""
         return replace(self, rig=rig)
 
-    def with_noise_seen_by(self, estimates: dict[int, Estimate]) -> Fit:
+    def with_noise_seen_by(self, estimates: Estimates) -> Fit:
         """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
         seen = noise_of(self.rig, estimates)
         noise = {key: min(value, seen.get(key, value)) for key, value in self.noise.items()}

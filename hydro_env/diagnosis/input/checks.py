@@ -5,16 +5,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import InputError
-from ...measured import Mapping, RigLog
+from ...measured import Mapping, RigLog, read_log
 from ...measured.log import HELD
 from ...measured.mapping import CHANNEL_SIGNALS
-from ..estimation.uncertainty import SHORTEST_S, STRETCH_S
+from ..estimation.uncertainty import SHORTEST_S
 from .parts import Part, overlap, read_parts
 
 #: A channel stands still if its speed (RMS) is below this share of the other channel's peak: what noise and a shared base move.
@@ -31,9 +32,8 @@ def read_logs(
         raise InputError("no fit log; name at least one log to fit")
     if held_out is not None and not held_out:
         raise InputError("no held-out log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
-    read: dict[str, RigLog] = {}  # of an hour of log whose parts are in both, one reading
+    read = cache(partial(read_log, mapping=mapping))  # an hour of log whose parts are in both is read once
     parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out or ()))
-    read.clear()
     overlap(parts, proofs)
     parts, proofs = _known_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
@@ -42,9 +42,8 @@ def read_logs(
         if own and lasts < (1.0 - 1e-6) * SHORTEST_S:
             logs = ", ".join(part.label for part in own)
             raise InputError(
-                f"{logs}: the {what} logs last {lasts:.2g} s in all, at least {SHORTEST_S:g} s are needed: "
-                f"{SHORTEST_S / STRETCH_S:.0f} stretches of {STRETCH_S:g} s, each longer than the rig's memory, are the fewest "
-                "that give a 95 % interval; record longer, 10 s or more is good"
+                f"{logs}: the {what} logs last {lasts:.2g} s in all, at least {SHORTEST_S:g} s are needed for 95 % intervals; "
+                "record longer, 10 s or more is good"
             )
     return parts, proofs
 
@@ -95,13 +94,11 @@ def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
         if part.log.channels != parts[0].log.channels:
             own, first = (" and ".join(str(c + 1) for c in p.log.channels) for p in (part, parts[0]))
             raise InputError(
-                f"{part.label}: has channels {own}, {parts[0].label} has {first}; all logs need the same"
+                f"{part.label}: has channels {own}, {parts[0].label} has {first}; all need the same"
             )
     for c in parts[0].log.channels:
         if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
             peak = max(float(np.nanmax(np.abs(p.log.speed[p.inside, c]), initial=0.0)) for p in parts)
             moves = " though the axis moves: something else drove it" if peak >= 0.01 else ""
-            raise InputError(
-                f"{parts[0].label}: the command of channel {c + 1} is zero throughout{moves}; "
-                "record the signal that drives the valve"
-            )
+            what = f"the command of channel {c + 1} is zero throughout{moves}"
+            raise InputError(f"{parts[0].label}: {what}; record the signal that drives the valve")

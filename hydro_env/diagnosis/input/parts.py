@@ -11,14 +11,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import InputError
-from ...measured import Mapping, RigLog, load_mapping, read_log
+from ...measured import Mapping, RigLog, read_log
 from ...measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
@@ -64,15 +65,12 @@ class Part:
 
 def read_parts(
     words: Iterable[str | Path | RigLog], mapping: Mapping | str | Path | None, accept: Collection[str] = (),
-    read: dict[str, RigLog] | None = None,
+    read: Callable[[str], RigLog] | None = None,
 ) -> list[Part]:  # fmt: skip
     """Reads `PATH[@FROM:TO[,FROM:TO...]]` words, or takes logs that are loaded. InputError for a bad log, window or clock,
-    and for a log that is surely wrong unless the code of that finding is in `accept`. `read` holds logs that were read with
-    the same mapping already, by path, and is added to."""
-    if mapping is not None and not isinstance(mapping, Mapping):
-        mapping = load_mapping(mapping)
-    read = {} if read is None else read
-    parts = []
+    and for a log that is surely wrong unless the code of that finding is in `accept`. `read` reads a path, with the same
+    mapping, and keeps what it has read."""
+    read, parts = read or cache(partial(read_log, mapping=mapping)), []
     for word in words:
         if isinstance(word, RigLog):
             log, windows = _named(word), ALL
@@ -80,9 +78,7 @@ def read_parts(
         else:
             name = str(word)
             path, windows = split(name)
-            if path not in read:
-                read[path] = read_log(path, mapping)
-            log = read[path]
+            log = read(path)
         log = _usable(path, log, windows, accept)
         own = _runs(name, log if log.uniform else log.resample(), windows)
         parts += own if log.uniform else [timed(replace(part, uneven=log)) for part in own]
@@ -119,22 +115,21 @@ def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Pa
     parts = []
     for (start, _), end in zip(windows, ends, strict=True):
         start = max(start, float(log.time_s[0]))
+        chosen, notes = [(start, end, False)], []
         if end - start > LONG_S:
             chosen = choose(log, start, end)
             shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b, _ in chosen)
-            note = f"{word}: {end - start:.6g} s are too long to simulate; looked at {shown}, where the commands move most"
-        else:
-            chosen, note = [(start, end, False)], ""
+            seconds = f"{end - start:.6g} s are too long to simulate"
+            notes.append(f"{seconds}; looked at {shown}, where the commands move most")
         for a, b, at_rest in chosen:
             before = resting[(resting <= a) & (resting >= a - LONG_S)]
             begin = a if at_rest or not before.size else float(before[-1])
             known = at_rest or bool(before.size) or a <= log.time_s[0]
-            counts = a if known else a + WARM_S
             if not known:
-                note += "; " if note else f"{word}: "
-                note += f"nothing rests before {a:.6g} s, so the first {WARM_S:g} s there do not count"
-            parts.append(replace(_cut(word, log.window(begin, b), [(counts, b)]), note=note))
-            note = ""
+                notes.append(f"nothing rests before {a:.6g} s, so the first {WARM_S:g} s there do not count")
+            part = _cut(word, log.window(begin, b), [(a if known else a + WARM_S, b)])
+            parts.append(replace(part, note=f"{word}: {'; '.join(notes)}" if notes else ""))
+            notes = []
     return parts
 
 
@@ -185,10 +180,8 @@ def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:
     for start, end in windows:
         rows = (time >= start) & (time < end)
         if rows.sum() < 20:
-            raise InputError(
-                f"{word}: only {int(rows.sum())} rows between {start:g} and {end:g} s; "
-                f"the log runs from {time[0]:g} to {time[-1]:g} s"
-            )
+            only = f"only {int(rows.sum())} rows between {start:g} and {end:g} s"
+            raise InputError(f"{word}: {only}; the log runs from {time[0]:g} to {time[-1]:g} s")
         inside |= rows
     last = int(np.flatnonzero(inside)[-1]) + 1
     if last < len(log):
@@ -198,14 +191,12 @@ def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:
 
 def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:
     """InputError if a row counts both for the fit and for the proof."""
-    for a in fit:
-        for b in sealed:
-            if a.log.sha256 == b.log.sha256:
-                mine, other = (np.round(p.log.time_s[p.inside] / p.log.period) for p in (a, b))
-                if np.intersect1d(mine, other).size:
-                    raise InputError(
-                        f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart"
-                    )
+    for a, b in itertools.product(fit, sealed):
+        mine, other = (np.round(p.log.time_s[p.inside] / p.log.period) for p in (a, b))
+        if a.log.sha256 == b.log.sha256 and np.intersect1d(mine, other).size:
+            raise InputError(
+                f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts apart"
+            )
 
 
 def filled(values: np.ndarray) -> np.ndarray:

@@ -210,9 +210,15 @@ class RigModel:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
         raise NotImplementedError
 
-    def candidates(self) -> list[str]:
-        """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
+    def supported(self) -> list[str]:
+        """Effects of the catalogue that this model and its logs can have."""
         raise NotImplementedError
+
+    def candidates(self) -> list[str]:
+        """Those of them that are sought: on one channel at least they are not given."""
+        wanted = [n for n in self.supported() if n not in self.without]
+        places = {n: self.channels if CATALOGUE[n].scope == "channel" else (None,) for n in wanted}
+        return [n for n, on in places.items() if not all(self.has(n, c) for c in on)]
 
     def predict(self, requests: Sequence[Request]) -> list[Samples]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
@@ -240,13 +246,10 @@ class RigModel:
         return self
 
     def view(self, **changes: Any) -> Self:
-        """The same model with other values of some attributes; what it holds open is shared."""
+        """The same model with other values of some attributes; its threads are shared."""
         twin = copy(self)
         vars(twin).update(changes)
         return twin
-
-    def close(self) -> None:
-        """Ends what the model holds open."""
 
 
 def given_effects(rig: RigModel, channel: int) -> list[Effect]:

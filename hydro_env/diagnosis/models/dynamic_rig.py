@@ -77,7 +77,7 @@ class DynamicRig(RigModel):
         #: A plant of the model for each number of rigs, effects and way of stepping, of which every batch takes a copy: to
         #: make one takes longer than to copy it.
         self._plant = cache(partial(Plant, model, tolerance=tolerance, dtype=dtype, block=BLOCK))
-        # The plant's kernel lets other threads of this process run beside it.
+        # The plant's kernel lets other threads of this process run beside it. They end with the last view of the rig.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
         #: Effects that every simulation has, whatever is asked for.
@@ -106,14 +106,10 @@ class DynamicRig(RigModel):
         own = [n for n in BASE if n not in ("Fc", "Fs") or self.given(n, channel) > 0.0]
         return own + given_parameters(self, channel)
 
-    def candidates(self) -> list[str]:
+    def supported(self) -> list[str]:
         both, declared = len(self.channels) == 2, self.model.declared
         every = (e for e in CATALOGUE.values() if both or not e.couples_channels)
-        usable = (e for e in every if not e.family or (e.family != FAMILY and e.name in declared))
-        places = {e.name: self.channels if e.scope == "channel" else (None,) for e in usable}
-        return [
-            n for n, on in places.items() if n not in self.without and not all(self.has(n, c) for c in on)
-        ]
+        return [e.name for e in every if not e.family or (e.family != FAMILY and e.name in declared)]
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[Samples]:
@@ -208,12 +204,6 @@ class DynamicRig(RigModel):
         else:
             wanted = effects.union(*(group for group in self._shared if group & effects))
         return tuple(n for n in CATALOGUE if n in wanted)
-
-    def close(self) -> None:
-        """Ends the threads, if there are any."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
 
     def _pack(self, wanted: list[list[Side]]) -> list[list[Side]]:
         """Rigs: two of a single channel make one where the channels do not act on each other.

@@ -76,17 +76,12 @@ class SteadyValve(RigModel):
     def base(self, channel: int) -> list[str]:
         return ["Kq", "lag", *given_parameters(self, channel)]
 
-    def candidates(self) -> list[str]:
-        usable = [n for n in self._supported() if n not in self.without]
-        return [n for n in usable if not all(self.has(n, c) for c in self.channels)]
-
-    def _supported(self) -> list[str]:
-        """The effects that this model and its logs can have."""
+    def supported(self) -> list[str]:
         pressure = all(part.log.has("pressure", c) for part in self.parts for c in self.channels)
         return [n for n in SUPPORTED if n in CATALOGUE and (pressure or not CATALOGUE[n].reads("pressure"))]
 
     def has(self, effect: str, channel: int | None) -> bool:
-        return effect in self._supported() and super().has(effect, channel)
+        return effect in self.supported() and super().has(effect, channel)
 
     def given(self, name: str, channel: int) -> float:
         if name == "Kq":

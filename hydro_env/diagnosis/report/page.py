@@ -16,7 +16,6 @@ from ...plant import CATALOGUE
 from ..models.base import Segment
 from ..stages.localisation import Location
 from ..stages.screening import detectable, hidden_by_calibration
-from ..stages.values import known_parameters
 from . import statements as say
 from . import wording as words
 
@@ -42,14 +41,14 @@ def report_page(state: Diagnosis) -> str:
         files(__package__).joinpath("page.html"),
         title=f"Diagnosis of {say.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
         state=state, say=say, words=words, catalogue=CATALOGUE, head=say.headline(state), columns=say.error_columns(state),
-        parameters=[(p, say.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
-        traces=traces(state), maps=[_map(p) for p in say.shown_locations(state)[:2]],
+        parameters=[(p, say.comment(state.rig, p)) for p in state.known], traces=traces(state),
+        maps=[(p, _map(p)) for p in say.shown_locations(state)[:2]],
         seen=detectable(state.screening), hidden=hidden_by_calibration(state.screening),
     )  # fmt: skip
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------------
-def traces(state: Diagnosis) -> list[tuple[str, Any]]:
+def traces(state: Diagnosis) -> list[dict[str, Any]]:
     """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
     other signal that calibration leaves far off."""
     proof, first = state.proofs.held_out, say.headline(state).channel
@@ -61,7 +60,8 @@ def traces(state: Diagnosis) -> list[tuple[str, Any]]:
     return [_trace(state, s) for s in (*speeds, *far)]
 
 
-def _trace(state: Diagnosis, segment: Segment) -> tuple[str, Any]:
+def _trace(state: Diagnosis, segment: Segment) -> dict[str, Any]:
+    """The picture of a signal, and what its caption needs."""
     proof, channel, keep = state.proofs.held_out, segment.channel, segment.used
     unit, size = say.unit_of(proof.rig, segment.signal, channel)
     name, log = words.SIGNALS[segment.signal], proof.rig.parts[segment.log].log
@@ -92,25 +92,17 @@ def _trace(state: Diagnosis, segment: Segment) -> tuple[str, Any]:
     axes[-1].set_xlabel("time, s")
     for axis in axes:
         axis.legend(ncols=4, **_ABOVE)
-    caption = (
-        f"Channel {channel + 1}, {name} on the held-out log {log.name}: measured and simulated; below, the residual (measured "
-        "minus simulated)" + (", last that of the final model alone" if apart else "")
-    )
-    return caption, svg(drawing, f"{name} of channel {channel + 1} and its error")
+    picture = svg(drawing, f"{name} of channel {channel + 1} and its error")
+    return {"picture": picture, "channel": channel + 1, "signal": name, "log": log.name, "apart": apart}
 
 
-def _map(location: Location) -> tuple[str, Any]:
+def _map(location: Location) -> Any:
     """Of a location that holds much of the residual: the error over the quantity that its equation depends on."""
-    form, where = location.shape, f"{words.equation(location.equation)} of channel {location.channel + 1}"
+    form = location.shape
     drawing, (axis,) = figure(1, height=2.0, left=LEFT)
     x, y, spread = np.array(form.points).reshape(-1, 3).T
     axis.axhline(0.0, color=COLOURS[4], linewidth=0.8)
     axis.errorbar(x, y, 2.0 * spread, color=COLOURS[1], marker="o", markersize=3.5, capsize=2)
     axis.set_xlabel(form.over)
     axis.set_ylabel("\n".join(textwrap.wrap(f"residual: {form.error}", 22)))
-    caption = (
-        f"{where[0].upper()}{where[1:]}: residual of the calibrated model over the quantity that it depends on (with 95 % "
-        f"intervals); a curve explains {100 * form.explains:.0f} % of it, {100 * form.with_direction:.0f} % with separate curves "
-        "for rising and falling"
-    )
-    return caption, svg(drawing, f"where channel {location.channel + 1} errs")
+    return svg(drawing, f"where channel {location.channel + 1} errs")

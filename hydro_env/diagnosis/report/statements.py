@@ -1,10 +1,11 @@
-"""What the report and the summary say: sentences and rows made of the state of a diagnosis."""
+"""What the report says, sentences and rows made of a diagnosis, and the same in about twenty lines of text for a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ...plant import CATALOGUE
 from ..logs import place_of
@@ -16,8 +17,10 @@ from ..stages.screening import detectable
 from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
-from ..state import State
 from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
@@ -25,6 +28,8 @@ LIKELY = 0.5
 #: times the noise. Words only: no verdict depends on them.
 PLACEBO_NEAR, WORTH_PROVING = 1.15, 1.2
 _COLUMNS = (("noise", 9), ("before", 9), ("calibrated", 11), ("after", 9), ("placebo", 9))
+#: Lines at most: those of a small terminal.
+LINES = 20
 
 
 @dataclass(frozen=True)
@@ -58,15 +63,15 @@ def errors_of(proof: Proof) -> list[SignalErrors]:
     return [SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry) for (c, signal), entry in every]
 
 
-def _speeds(state: State) -> list[SignalErrors]:
+def _speeds(state: Diagnosis) -> list[SignalErrors]:
     return [e for e in errors_of(state.proofs.held_out) if e.signal == "speed"]
 
 
-def _worst(state: State) -> SignalErrors:
+def _worst(state: Diagnosis) -> SignalErrors:
     return max(_speeds(state), key=lambda e: e.above_noise)
 
 
-def headline(state: State) -> SignalErrors:
+def headline(state: Diagnosis) -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
     speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
     own = [e for e in speeds if e.channel in named] or speeds
@@ -74,7 +79,7 @@ def headline(state: State) -> SignalErrors:
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
-def sentence(state: State) -> str:
+def sentence(state: Diagnosis) -> str:
     """The verdict in a sentence, and the proof in another."""
     head, doubtful = headline(state), _doubtful(state)
     e, unit = head.errors, head.unit
@@ -98,7 +103,7 @@ def sentence(state: State) -> str:
     return f"{doubtful} {lacks(state)} {error}: {before}.{other}".strip()
 
 
-def _doubtful(state: State) -> str:
+def _doubtful(state: Diagnosis) -> str:
     """What speaks against the logs themselves, before anything is concluded from them, or nothing."""
     texts = []
     if state.undetermined:
@@ -113,7 +118,7 @@ def _doubtful(state: State) -> str:
     return " ".join(texts)
 
 
-def _guess(state: State) -> str:
+def _guess(state: Diagnosis) -> str:
     """The best guess, and what is proven: the share of a speed's error that it explains, and what it leaves."""
     worst = _worst(state)
     e = worst.errors
@@ -128,7 +133,7 @@ def _guess(state: State) -> str:
     )
 
 
-def _lacks(state: State) -> str:
+def _lacks(state: Diagnosis) -> str:
     sure = [n for n in state.effects if n.probability >= LIKELY or len(state.effects) == 1]
     perhaps = [n for n in state.effects if n not in sure]
     text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
@@ -137,9 +142,9 @@ def _lacks(state: State) -> str:
     return text
 
 
-def _unknown(state: State) -> str:
+def _unknown(state: Diagnosis) -> str:
     shown = shown_locations(state)[:2]
-    places = [f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown]
+    places = [f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}, {p.regime}" for p in shown]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
     text = f"Something is missing that no effect of the catalogue explains; it shows in {where}."
     if state.effects:
@@ -155,7 +160,7 @@ def _said(n: NamedEffect) -> str:
     return text + (f" (or {tied}: these logs cannot distinguish them)" if tied else "")
 
 
-def log_names(state: State) -> str:
+def log_names(state: Diagnosis) -> str:
     """The logs that were fitted, two by name."""
     names = list(dict.fromkeys(part.log.name for part in state.rig.parts))
     return words.listed(names if len(names) < 3 else [*names[:2], f"{len(names) - 2} more"])
@@ -167,7 +172,7 @@ def short_names(rig: RigModel) -> list[str]:
 
 
 # --- what is left ---------------------------------------------------------------------------------------------------------
-def remaining(state: State, n: NamedEffect) -> str:
+def remaining(state: Diagnosis, n: NamedEffect) -> str:
     """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
     speeds = [s for s in _speeds(state) if s.channel in (n.channels or state.rig.channels)]
     return words.listed([
@@ -177,7 +182,7 @@ def remaining(state: State, n: NamedEffect) -> str:
     ])  # fmt: skip
 
 
-def weak_proof(state: State) -> str:
+def weak_proof(state: Diagnosis) -> str:
     """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
     entry = headline(state).errors
     near = entry["placebo"] <= PLACEBO_NEAR * entry.get(NAMED, entry["after"])
@@ -191,13 +196,13 @@ def weak_proof(state: State) -> str:
 
 
 # --- where it is ----------------------------------------------------------------------------------------------------------
-def shown_locations(state: State) -> list[Location]:
+def shown_locations(state: Diagnosis) -> list[Location]:
     """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
     left = {c for (c, _), e in state.proofs.fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
     return sorted((p for p in state.locations if p.channel in left), key=lambda p: -p.share)
 
 
-def windows_text(state: State, location: Location) -> str:
+def windows_text(state: Diagnosis, location: Location) -> str:
     """The windows of a location, by log."""
     texts, parts = [], state.rig.parts
     for number in dict.fromkeys(log for log, _, _ in location.windows):
@@ -206,14 +211,14 @@ def windows_text(state: State, location: Location) -> str:
     return "; ".join(texts)
 
 
-def places(state: State) -> list[str]:
+def places(state: Diagnosis) -> list[str]:
     """Where effects may be: the channels, and the rig if there are such candidates."""
     of_rig = any("rig" in row for row in detectable(state.screening).values())
     return [*(str(c + 1) for c in state.rig.channels), *(["rig"] if of_rig else [])]
 
 
 # --- numbers --------------------------------------------------------------------------------------------------------------
-def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
+def effect_values(state: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
     c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
     effect, values = CATALOGUE[n.name], n.parameters.items()
@@ -237,17 +242,16 @@ def comment(rig: RigModel, p: KnownParameter) -> str:
     )
 
 
-def error_columns(state: State) -> list[tuple[str, str, int]]:
+def error_columns(state: Diagnosis) -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
     return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
-def correction_texts(state: State) -> Iterator[str]:
+def correction_texts(state: Diagnosis) -> Iterator[str]:
     """What each form correction is, in a line."""
     for k in state.models.corrections:
-        first = state.rig.channels[0] if k.channel is None else k.channel
-        values = list(values_of_effect(state.models.final[first], k.correction, first).items())
+        values = list(values_of_effect(state.models.final, k.correction, k.channel).items())
         shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
         where = words.where(place_of(k.channel))
@@ -255,7 +259,7 @@ def correction_texts(state: State) -> Iterator[str]:
         yield f"{what}: {shown}{more}"
 
 
-def ranking(state: State) -> list[Candidate]:
+def ranking(state: Diagnosis) -> list[Candidate]:
     """Candidates by gain in their last try: accepted ones first, then by gain."""
     last: dict[tuple[str, int | None], Candidate] = {}
     for t in state.selection.candidates:
@@ -269,3 +273,97 @@ def ranking(state: State) -> list[Candidate]:
                 outcome = f"as good: indistinguishable from {words.plain(n.name)}"
                 last[key] = replace(last[key], outcome=outcome)
     return sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))
+
+
+# --- in about twenty lines --------------------------------------------------------------------------------------------------
+def summary(state: Diagnosis) -> str:
+    """What the page says, shorter."""
+    guess = " (best guess, not proven)" if state.best_guess else ""
+    found, tried, known, warnings = _places(state), _tried(state), _known(state), state.warnings
+    lines = [*filter(None, (f"verdict: {state.verdict}{guess}", sentence(state), weak_proof(state)))]
+    lines += [*(_effect(state, n) for n in state.effects), *found]
+    lines += [f"  form correction, not physics: {text}" for text in correction_texts(state)]
+    lines += [*_errors(state), *tried, known, _hidden(state)]
+    if state.next_experiment:
+        lines.append(f"  next experiment: {state.next_experiment.description}")
+    # What a full screen can spare first: the second place, then what was rejected, then known parameters.
+    spare = [known, *tried, *found[1:]]
+    while len(lines) > LINES - min(2, len(warnings)) and spare:
+        lines.remove(spare.pop())
+    most = min(3, max(1, LINES - len(lines)))
+    shown = warnings if len(warnings) <= most else warnings[: max(1, most - 1)]
+    lines += [f"  warning: {text}" for text in shown]
+    if len(warnings) > len(shown):
+        lines.append(f"  warning: {len(warnings) - len(shown)} more in the report")
+    return "\n".join(lines)
+
+
+def _first(texts: Sequence[str], count: int = 6) -> str:
+    """The first ones, and how many more there are."""
+    more = f" and {len(texts) - count} more" if len(texts) > count else ""
+    return f"{', '.join(texts[:count])}{more}"
+
+
+def _effect(state: Diagnosis, n: NamedEffect) -> str:
+    every = effect_values(state, n)
+    values = "; ".join(f"{name} {value}" + (f" = {share}" if share else "") for name, value, share in every)
+    return f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}"
+
+
+def _places(state: Diagnosis) -> list[str]:
+    lines = []
+    for p in shown_locations(state)[:2]:
+        where = f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
+        regime = f"most at {p.regime}" if p.regime != "everywhere" else p.regime
+        lines.append(f"  where: {where}, {regime}; worst {windows_text(state, p)}")
+    return lines
+
+
+def _errors(state: Diagnosis) -> list[str]:
+    """The table of errors on the held-out logs."""
+    columns = error_columns(state)
+    heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
+    lines, quiet = [f"  {'held-out logs, RMS error':<29}{heads}"], []
+    for s in errors_of(state.proofs.held_out):
+        name, e = f"{s.name} {s.channel + 1}", s.errors
+        if max(e["before"], e["calibrated"], e["after"]) < AT_NOISE * e["noise"]:
+            quiet.append(name)
+            continue
+        row = "".join(f"{e.get(model, e['after']):{width}.3g}" for model, _, width in columns)
+        lines.append(f"    {f'{name}, {s.unit}':<27}{row}")
+    return [*lines, *([f"    at the noise with every model: {', '.join(quiet)}"] if quiet else [])]
+
+
+def _tried(state: Diagnosis) -> list[str]:
+    """The best candidates that were refitted and rejected."""
+    tried = [r for r in ranking(state) if r.refitted and not r.accepted]
+    texts = [f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f}: {r.outcome})" for r in tried[:3]]
+    if texts:
+        return [f"  rejected, by gain: {', '.join(texts)}"]
+    return [] if state.effects else ["  no effect was worth a closer look"]
+
+
+def _known(state: Diagnosis) -> str:
+    """The known parameters that moved most."""
+    own = state.rig.own  # of a reduced model: its nominal values stand for nothing
+    known = [p for p in state.known if p.moved and abs(p.change) >= 0.005]
+    rows = sorted(known, key=lambda p: -abs(p.change))
+    if not rows:
+        return "  known parameters: no interval excludes the given value"
+    values = (f"= {words.interval(p.estimate)}" if p.symbol in own else p.moved_by() for p in rows)
+    texts = [f"{p.name} {value}" for p, value in zip(rows, values, strict=True)]
+    far = ", ".join(p.name for p in rows if p.unusual and p.symbol not in own)
+    check = f"; check {far}: further than usual" if far else ""
+    return f"  known parameters that moved: {_first(texts)}{check}"
+
+
+def _hidden(state: Diagnosis) -> str:
+    named = {(n.name, str(c + 1)) for n in state.effects for c in n.channels}
+    texts = []
+    for name, row in detectable(state.screening).items():
+        if places := [c for c, shows in row.items() if not shows and (name, c) not in named]:
+            texts.append(f"{words.plain(name)} ({', '.join(places)})")
+    if texts:
+        return f"  not detectable in these logs at medium size: {_first(texts)}"
+    every = "the catalogue" if state.rig.has_hidden_states else "this reduced model"
+    return f"  every effect of {every} is detectable at medium size"

@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from ...plant import CATALOGUE, PARAMETERS, PlantModel
 from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
+from ..models.base import RigModel
 from ..stages.values import Interval
 
-_EQUATIONS = {
+#: Equations of a place.
+EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
     "shaft": "the shaft (speed from pressure and load)", "lines": "the lines (mean of both line pressures)",
     "valve and motor": "valve and motor together (no pressure logged)",
@@ -25,8 +27,6 @@ SIGNALS = {
 }  # fmt: skip
 #: Units that the keys of diagnosis.json spell otherwise.
 KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
-#: Known parameters that only a reduced model has.
-_OWN = {"lag": "lag of the speed behind the command"}
 
 
 def plain(name: str) -> str:
@@ -42,11 +42,6 @@ def title(effect: str) -> str:
 def where(channel: str) -> str:
     """ "1", "2", "both" or "rig" in words."""
     return {"rig": "the whole rig", "both": "both channels"}.get(channel, f"channel {channel}")
-
-
-def equation(name: str) -> str:
-    """An equation of `where`."""
-    return _EQUATIONS.get(name, plain(name))
 
 
 def listed(words: Sequence[str]) -> str:
@@ -87,14 +82,14 @@ def interval(entry: Interval) -> str:
     return f"{value}{' ' if unit else ''}{unit} ({low} to {high})"
 
 
-def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
+def known(symbol: str, c: int, value: float, rig: RigModel) -> str:
     """A base parameter of channel c in words; of a flow gain also the flow that full command would give."""
     effect, _, own = symbol.rpartition(".")
     if effect:
         return f"{title(effect)}: {CATALOGUE[effect].parameter(own).title}"
-    text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
+    text = {**PARAMETERS, **rig.own}[symbol].title
     if symbol == "Kq":
-        alpha, rated, resistance, spring = (model.value(n, c) for n in ("alpha", "u_rated", "R", "k"))
+        alpha, rated, resistance, spring = (rig.model.value(n, c) for n in ("alpha", "u_rated", "R", "k"))
         stroke = alpha * rated / (resistance * spring)
         text += f" ({number(value * stroke / LPM)} l/min at full command)"
     return text

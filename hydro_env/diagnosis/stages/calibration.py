@@ -8,17 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...errors import InputError, nearest
+from ...errors import InputError, check_known
 from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
-from ..estimation.estimate import Estimate, joined
-from ..estimation.fit import Fit, noise_of
+from ..estimation.estimate import Estimate, Estimates, distinct, joined
+from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
 from ..estimation.local_minima import restart_friction
 from ..estimation.unknowns import Unknown, base_unknown, given_unknown, limited_by_effects, within
-from ..logs import Estimates, Given, Logs, distinct
+from ..logs import Logs
 from ..models.base import RigModel, effect_in, given_repeats
-from ..settings import Settings
 from .row_times import without_outliers
 from .screening import Screening
 
@@ -33,7 +32,7 @@ FEW = 20
 
 @dataclass(frozen=True)
 class Calibrated:
-    """The calibrated model beside the logs; `given` as in `Given`. `backlashes` are those of couplings that rattle, by a first
+    """The calibrated model beside the logs, after the one as `given`. `backlashes` are those of couplings that rattle, by a first
     look: `logs` follow the measured speed there. `plain` are the estimates of those channels on which the form of given effects
     was corrected since, before that."""
 
@@ -45,12 +44,11 @@ class Calibrated:
     plain: Estimates = field(default_factory=dict)
 
 
-def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
+def run(logs: Logs, given: Estimates, findings: list[Finding], chosen: Chosen | None = None) -> Calibrated:
     """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some.
 
-    `chosen` are the parameters to adjust, by default all that may be.
+    `given` and `findings` are of the model as given, `chosen` the parameters to adjust, by default all that may be.
     """
-    logs = given.logs
     fit, estimates = logs.fit, calibrate(logs.fit, chosen=chosen)
     rig, found = without_outliers(fit.rig, estimates)
     if found:
@@ -60,8 +58,7 @@ def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
     fit.rescore(list(estimates.values()))
     fine, _ = without_outliers(logs.fine, estimates)
     held_out, more = (fine, []) if logs.held_out is logs.fine else without_outliers(logs.held_out, estimates)
-    findings = [*given.findings, *found, *more]
-    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, findings)
+    return Calibrated(Logs(fit, fine, held_out), given, estimates, [*findings, *found, *more])
 
 
 def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:
@@ -87,25 +84,13 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
 def check_chosen(rig: RigModel, chosen: Chosen) -> None:
     """InputError for a parameter that calibration cannot adjust, or bounds that do not hold its value."""
     known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
-    for name in chosen:
-        if name not in known:
-            hint = f"did you mean {near!r}? " if (near := nearest(name, known)) else ""
-            raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
+    check_known("unknown parameter", chosen, known)
     for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
         around = u.low <= u.center <= u.high and math.isfinite(u.high - u.low)
         if not around or (u.log and not u.low > 0.0):
             need = "positive bounds" if u.log else "bounds"
-            raise InputError(
-                f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"
-            )
-
-
-def fit_as_given(rig: RigModel, settings: Settings | None = None) -> tuple[Fit, Estimates]:
-    """The model as given beside its logs: the noise as it shows that, and its simulations by channel."""
-    unknown = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
-    fit = Fit(rig, unknown, settings or Settings())
-    given = as_given(fit)
-    return replace(fit, noise=noise_of(rig, given)), given
+            given = f"{u.low:g} to {u.high:g} {u.unit}"
+            raise InputError(f"{u.name}: {given} are no {need} around {u.center:g} of the model")
 
 
 def as_given(fit: Fit) -> Estimates:

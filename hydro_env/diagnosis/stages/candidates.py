@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.fit import Fit
 from ..estimation.unknowns import Unknown
-from ..logs import Estimates, Logs, place_of
+from ..logs import Logs, place_of
 
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "accepted"

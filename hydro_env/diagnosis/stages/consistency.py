@@ -17,9 +17,11 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Finding
 from ...units import BAR, UNITS
-from ..logs import Estimates, Given, Logs
+from ..estimation.estimate import Estimates
+from ..estimation.fit import noise_of
+from ..logs import Logs
 from ..models.base import LEVEL_FREE, RigModel
-from .calibration import fit_as_given
+from .calibration import as_given
 from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
@@ -50,15 +52,18 @@ Likes = dict[tuple[str, int], tuple[float, float]]
 _HINT = "give the right unit in a mapping, or a model of this machine"
 
 
-def run(logs: Logs, accept: Collection[str] = ()) -> Given:
-    """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is first estimated here."""
+def run(logs: Logs, accept: Collection[str] = ()) -> tuple[Logs, Estimates, list[Finding]]:
+    """The model as given beside the logs, with the noise that it shows, and findings about these. InputError if the logs are
+    surely not of this machine."""
     rig = logs.rig
-    fit, given = fit_as_given(rig, logs.fit.settings)
+    unknown = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
+    given = as_given(replace(logs.fit, noise=unknown))
+    fit = replace(logs.fit, noise=noise_of(rig, given))
     findings = implausible(rig, given)
     _stop_if_sure(findings, rig, accept)
     if rig.has_hidden_states:
         _stop_if_sure(list(_beyond_rated(logs.held_out)), logs.held_out, accept)
-    return Given(replace(logs, fit=fit), given, findings)
+    return replace(logs, fit=fit), given, findings
 
 
 def _stop_if_sure(findings: list[Finding], rig: RigModel, accept: Collection[str]) -> None:

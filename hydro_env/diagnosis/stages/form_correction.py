@@ -17,12 +17,11 @@ import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates, distinct
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import Unknown
-from ..logs import Estimates, distinct
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
 from .candidates import Correction, Selection, penalty_per_parameter
@@ -56,13 +55,12 @@ class Models:
         """The estimates whose known parameters are reported."""
         return self.calibrated if self.final == self.given else self.final
 
-    def with_twins(self) -> tuple[Models, list[Estimate]]:
-        """The same with copies of the estimates that are reported, and these; one that is several models' stays one."""
-        twins = {p: replace(p) for p in self.shown.values()}
-        copied: dict[str, Any] = {}
-        for name in ("given", "calibrated", "named", "final", "placebo"):
-            copied[name] = {c: twins.get(p, p) for c, p in getattr(self, name).items()}
-        return replace(self, **copied), list(twins.values())
+    def with_shown(self, shown: Estimates) -> Models:
+        """The same with other estimates for those that are reported; one that is several models' stays one."""
+        new = {p: shown[c] for c, p in self.shown.items()}
+        names = ("given", "calibrated", "named", "final", "placebo")
+        own: Any = {name: {c: new.get(p, p) for c, p in getattr(self, name).items()} for name in names}
+        return replace(self, **own)
 
     def as_named(self) -> Models:
         """The same without the corrections of what is named."""

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...measured import Finding
+from ..estimation.estimate import Estimates
 from ..input.parts import filled
-from ..logs import Estimates
 from ..models.base import RigModel, Segment
 from .shaft import given_shaft, shaft_of
 

@@ -19,9 +19,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.noise import effective_samples, noise_floor
-from ..logs import Estimates
 from ..models.base import RigModel
 from .shaft import SHAFT, Shaft, given_shaft, shaft_of
 from .validation import AT_NOISE

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.fit import Fit
 from ..estimation.uncertainty import probability_of_gain
-from ..logs import Estimates, place_of
+from ..logs import place_of
 from ..models.base import effect_in
 from .candidates import Accepted, Selection
 from .validation import AT_NOISE
@@ -90,7 +90,7 @@ def name_effects(selection: Selection, final: Estimates) -> list[NamedEffect]:
     for one in selection.accepted:
         c = fit.rig.channels[0] if one.channel is None else one.channel
         channels = () if one.channel is None else (one.channel,)
-        bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
+        bare, values = (effect_values(p, one.effect, one.channel) for p in (selection.estimates, final))
         row, effect = row_of(fit.rig, c), effect_in(fit.rig, one.effect, c)
         values = {name: widened_by_form(effect, name, v, bare[name], row) for name, v in values.items()}
         found.append(NamedEffect(one.effect, channels, values, _shares(fit, one, selection.estimates[c])))

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from ...plant.catalogue import separating_experiment
 from ..estimation.estimate import Estimate
 from ..experiment_design import SECONDS, Design, Operation, Question, Trial, best_design, commands_csv
 from ..models.dynamic_rig import DynamicRig
-from ..state import State
+from ..result import Diagnosis
 from .validation import AT_NOISE
 
 #: The file that the commands are written to, beside diagnosis.json.
@@ -56,13 +55,13 @@ class NextExperiment:
         return None if self.design is None else commands_csv(self.design.command_V, self.design.load)
 
 
-def run(state: State) -> NextExperiment | None:
+def run(state: Diagnosis) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
     return proposed(state, questions(state), operations(state)) or _in_words(state)
 
 
 def proposed(
-    state: State, asked: Sequence[Question], wanted: Mapping[int, Operation] = MappingProxyType({})
+    state: Diagnosis, asked: Sequence[Question], wanted: Mapping[int, Operation]
 ) -> NextExperiment | None:
     """The experiment that shows best what is asked and wanted; None where there is none."""
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
@@ -73,7 +72,7 @@ def proposed(
     return None if design is None else NextExperiment(_described(design), names, design)
 
 
-def max_load(state: State) -> float:
+def max_load(state: Diagnosis) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
     if state.logs.fit.settings.load_limit is not None:
         return state.logs.fit.settings.load_limit
@@ -82,13 +81,13 @@ def max_load(state: State) -> float:
 
 
 # --- what is open -----------------------------------------------------------------------------------------------------
-def questions(state: State) -> list[Question]:
+def questions(state: Diagnosis) -> list[Question]:
     """What the logs leave open: competing names by channel, each with its estimate."""
     every = {c: _tied(state, c) or _best(state, c) for c in (*state.rig.channels, None)}
     return [Question(channel, models) for channel, models in every.items() if len(models) > 1]
 
 
-def operations(state: State) -> dict[int, Operation]:
+def operations(state: Diagnosis) -> dict[int, Operation]:
     """What the estimates of channels are to predict of the held-out logs: where nothing is proven, and where names leave more of
     them than the noise."""
     if not state.rig.has_hidden_states or state.verdict in ("none", "calibration"):
@@ -97,11 +96,11 @@ def operations(state: State) -> dict[int, Operation]:
     if state.verdict == "effects" and not state.best_guess:
         channels = [c for c in channels if state.proofs.left([c]) > AT_NOISE]
     held_out = state.logs.fit.on(state.logs.held_out)
-    found = {c: Operation.of(held_out, state.models.final[c], c) for c in channels}
-    return {c: each for c, each in found.items() if each is not None}
+    final = {c: state.models.final[c] for c in channels if state.models.final[c].intervals}
+    return {c: Operation.of(held_out, p, c) for c, p in final.items()}
 
 
-def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
+def _tied(state: Diagnosis, channel: int | None) -> dict[str, Estimate]:
     """A confirmed effect of a channel and those that it is tied with; of several, the first that is tied with others."""
     if state.verdict != "effects" or state.best_guess:
         return {}
@@ -113,7 +112,7 @@ def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
     return {}
 
 
-def _best(state: State, channel: int | None) -> dict[str, Estimate]:
+def _best(state: Diagnosis, channel: int | None) -> dict[str, Estimate]:
     """Where nothing is confirmed: the candidates of a channel that explain most of it, as many as it may have effects."""
     if state.verdict != "unknown" and not state.best_guess:
         return {}
@@ -124,7 +123,7 @@ def _best(state: State, channel: int | None) -> dict[str, Estimate]:
     return found
 
 
-def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[str, Estimate]:
+def _tried(state: Diagnosis, channel: int | None, worthwhile: bool = False) -> dict[str, Estimate]:
     """The latest estimate with each candidate of a channel, or with those that paid for themselves."""
     tried = (t for t in state.selection.candidates if t.gain > t.needed or not worthwhile)
     found = ((t.effect, t.estimate) for t in tried if t.channel == channel)
@@ -154,7 +153,7 @@ def _described(design: Design) -> str:
     return "; or ".join(filter(None, (text, known)))
 
 
-def _in_words(state: State) -> NextExperiment | None:
+def _in_words(state: Diagnosis) -> NextExperiment | None:
     """What the catalogue knows of names that stayed tied, or which signals are missing."""
     tied = [[effect.name, *effect.indistinguishable_from] for effect in state.effects]
     tied = [names for names in tied if len(names) > 1]

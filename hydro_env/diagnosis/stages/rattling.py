@@ -13,10 +13,9 @@ from itertools import product
 
 import numpy as np
 
-from ..estimation.estimate import Estimate, Vector
+from ..estimation.estimate import Estimate, Estimates, Vector
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
-from ..logs import Estimates
 from ..models.base import effect_in
 from .calibration import Calibrated, as_given
 from .candidates import penalty

@@ -17,9 +17,9 @@ from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
+from ..estimation.estimate import Estimates, distinct
 from ..estimation.noise import noise_floor
 from ..input.parts import Part, timed
-from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
@@ -111,15 +111,14 @@ def _counted(part: Part, apart: Sequence[tuple[Segment, np.ndarray]], note: str)
     """The part without the measurements (NaN) that two readings of the times put `apart` by more than their noise."""
     log, lost = part.log, 0.0
     for s, difference in apart:
-        values = log.get(s.signal)
-        if values is None:  # made of other signals
+        if s.signal not in vars(log):  # made of other signals
             continue
         # What swings passes zero on its way: the largest difference nearby tells.
         near = maximum_filter1d(np.abs(difference), 2 * max(1, round(NEAR_S / s.period)) + 1)
         far = near > APART * noise_floor(s.measured, s.used, s.period)
-        values = values.copy()
+        values = getattr(log, s.signal).copy()
         values[far, s.channel] = np.nan
-        log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
+        log = replace(log, **{s.signal: values})
         lost = max(lost, float(np.mean(far)))
     notes = [note] if note else []
     if lost > 0.005:
@@ -146,6 +145,5 @@ def _simulated(rig: RigModel, parts: Sequence[Part]) -> tuple[list[Segment], lis
     """All segments, of every row, and what the model as given shows there."""
     other = rig.with_parts(list(parts), True)
     shown = other.predict([Request(c, {}) for c in rig.channels])
-    other.close()
     segments = [s for c in rig.channels for s in other.segments[c]]
     return segments, [shown[rig.channels.index(s.channel)][s.channel][s.place] for s in segments]

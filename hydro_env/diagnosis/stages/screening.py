@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ..estimation.estimate import Estimate, joined
+from ..estimation.estimate import Estimate, Estimates, joined
 from ..estimation.fit import Fit
 from ..estimation.unknowns import effect_starts
-from ..logs import Estimates, Logs, place_of
+from ..logs import Logs, place_of
 from ..models.base import Samples, effect_in
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what

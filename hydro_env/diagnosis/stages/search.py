@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from ..estimation.local_minima import grow_horizon
-from ..logs import Estimates
 from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Correction, judge, penalty
 from .form_correction import best_attempt
 from .screening import Screening

@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate, joined
+from ..estimation.estimate import Estimate, Estimates, distinct, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import best_of_each, best_on_early_window, extensions
-from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ABSENT, OUTDONE, TOO_LITTLE, VANISHED, Accepted, Selection, is_neutral, penalty
 from .form_correction import given_on, is_correction
@@ -173,8 +172,6 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
     every = {c: _promising(search, c, screening, number, short) for c in channels}
     every = {c: own for c, own in every.items() if own}
-    if not every:
-        return []
     short_refit(fit, [p for own in every.values() for p in own])
     refits = {c: _within_reach(search.present[c], own, full) for c, own in every.items()}
     solve(fit, [p for own in refits.values() for p in own], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
@@ -239,8 +236,6 @@ def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> 
             shows = {s.effect for s in search.screening if s.channel == c and s.shows}
             names.append([n for n in search.names if n in shows - here])
             presents[c] = search.present[c]
-    if not presents:
-        return {}
     found = zip(presents, best_on_early_window(fit, [*presents.items()], names), strict=True)
     # The best so far has been settled; then the best of the others is, too.
     others = {c: [*refits[c][1:], *own] for c, own in found}
@@ -346,8 +341,6 @@ def prefer_form(search: Search) -> None:
     """Drops the last effect of a channel if another form of those accepted before, or of given ones, explains more: no rig has
     exactly the laws of the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
-    if not fit.rig.has_hidden_states:
-        return
     for c in fit.rig.channels:
         for one in reversed(search.on(c)):
             present, less = search.present[c], one.without

@@ -4,33 +4,32 @@ and whether the logs determine the known parameters at all."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ..estimation.estimate import Estimates, distinct
 from ..estimation.final_refinement import refine
 from ..estimation.uncertainty import intervals_of
 from ..logs import Logs
 from ..models.base import RigModel
-from .form_correction import Models
 
 #: A command that moves by less than this share of the rated one, a few steps of a converter, is constant.
 CONSTANT = 0.01
 
 
-def settle(logs: Logs, models: Models) -> Models:
+def settle(logs: Logs, estimates: Estimates) -> Estimates:
     """Refines the estimates that are reported (`estimation.final_refinement`), before they are proved and given intervals."""
-    models, shown = models.with_twins()
-    refine(logs.fit, logs.fit.on(logs.fine), shown)
-    return models
+    twins = {p: replace(p) for p in distinct(estimates)}
+    refine(logs.fit, logs.fit.on(logs.fine), twins.values())
+    return {c: twins[p] for c, p in estimates.items()}
 
 
-def run(logs: Logs, models: Models) -> Models:
-    """Sets the intervals of every estimate that has derivatives and is reported."""
-    models, shown = models.with_twins()
-    for one in shown:
-        if one.unknowns and one.columns:
-            one.intervals = intervals_of(logs.fit, one)
-    return models
+def run(logs: Logs, estimates: Estimates) -> Estimates:
+    """The estimates with intervals, those that have derivatives."""
+    sure = {p: intervals_of(logs.fit, p) if p.unknowns and p.columns else None for p in distinct(estimates)}
+    twins = {p: replace(p, intervals=own) for p, own in sure.items()}
+    return {c: twins[p] for c, p in estimates.items()}
 
 
 def undetermined(rig: RigModel) -> Iterator[str]:

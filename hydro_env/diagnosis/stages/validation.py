@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..estimation.estimate import Estimates
 from ..estimation.fit import noise_in
-from ..logs import Estimates, Logs
+from ..logs import Logs
 from ..models.base import UNITS, RigModel, Samples
 from .form_correction import Models
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...plant import CATALOGUE, Effect, PlantModel
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.uncertainty import TWO_SIDED_95
-from ..logs import Estimates
 from ..models.base import RigModel, effect_in
 
 #: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
@@ -66,8 +65,10 @@ class KnownParameter:
         return self.moved and not self.usual[0] <= self.estimate.value <= self.usual[1]
 
 
-def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, Interval]:
-    """The parameters of an effect on a channel."""
+def effect_values(estimates: Estimates, effect: str, channel: int | None) -> dict[str, Interval]:
+    """The parameters of an effect on a channel (None: of the whole rig)."""
+    channel = min(estimates) if channel is None else channel
+    estimate = estimates[channel]
     every = ((u, j) for j, u in enumerate(estimate.unknowns) if u.channel in (None, channel))
     return {u.parameter: _interval(estimate, j) for u, j in every if u.effect == effect}
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
+from ..estimation.estimate import Estimate, Estimates
 from ..estimation.fit import Fit
 from ..estimation.uncertainty import CANNOT_BE_PREDICTED, predictions_apart
-from ..logs import Estimates, Logs
+from ..logs import Logs
 from . import uncertainty, validation
 from .calibration import Calibrated
 from .candidates import Accepted, Selection, neutral_of
@@ -78,7 +78,8 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     found = doubts(logs, selection.accepted, models.final, proofs) if judged else []
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere, [])
-    bare = uncertainty.run(logs, models.as_named())
+    bare = models.as_named()
+    bare = bare.with_shown(uncertainty.run(logs, bare.shown))
     absent = list(_absent(logs, selection.accepted, models.final))
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [], absent)
 
@@ -116,7 +117,7 @@ def _absent(logs: Logs, accepted: Sequence[Accepted], final: Estimates) -> Itera
     """The effects of which the intervals of all that gives them their size hold the neutral values."""
     for one in accepted:
         c = logs.rig.channels[0] if one.channel is None else one.channel
-        values = effect_values(final[c], one.effect, c)
+        values = effect_values(final, one.effect, one.channel)
         sizes = [u for u in final[c].unknowns if u.effect == one.effect and u.parameter in values]
         sizes = [u for u in sizes if CATALOGUE[one.effect].parameter(u.parameter).carries_size]
         ends = [(values[u.parameter].low, neutral_of(u), values[u.parameter].high) for u in sizes]

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from ...measured.finding import SPELLING
 from ...plant import CATALOGUE, parameter_of
+from ..estimation.estimate import Estimates
 from ..estimation.uncertainty import unpredictable
 from ..input.parts import Part
-from ..logs import Estimates
 from ..models.base import RigModel
-from ..state import State
+from ..result import Diagnosis
 from .form_correction import is_correction
 from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
@@ -24,7 +24,7 @@ WORSE, WORSE_NOISE = 1.1, 1.3
 AT_BOUND = 1e-3
 
 
-def run(state: State) -> list[str]:
+def run(state: Diagnosis) -> list[str]:
     """Collects the warnings, the weightiest first."""
     about = (
         ("these logs do not determine the known parameters", state.undetermined),
@@ -49,7 +49,7 @@ def run(state: State) -> list[str]:
     return [*found, *_about_predictions(state)]
 
 
-def _about_errors(state: State) -> Iterator[str]:
+def _about_errors(state: Diagnosis) -> Iterator[str]:
     for (c, signal), e in state.proofs.judged.errors.items():
         for model, said in (("before", "the model as given"), ("calibrated", "the calibrated model alone")):
             if e["after"] > max(WORSE * e[model], WORSE_NOISE * e["noise"]):
@@ -87,7 +87,7 @@ def about_logs(rig: RigModel, parts: Sequence[Part]) -> Iterator[str]:
             yield f"{part.log.name}: {finding.text}"
 
 
-def _about_predictions(state: State) -> Iterator[str]:
+def _about_predictions(state: Diagnosis) -> Iterator[str]:
     for c in sorted(state.rig.followed):
         e, unit = state.proofs.judged.errors[c, "speed"], shown_unit(state.rig, "speed", c)[0]
         yield (

@@ -19,9 +19,8 @@ import numpy as np
 from pydantic import Field
 
 from ...case.dialogue import SURE, next_question
-from ...case.hypotheses import certainty, places_of
+from ...case.hypotheses import certainty, places_of, with_experiment
 from ...case.sensors import SENSORS, shown
-from ...case.unseen import with_experiment
 from ...diagnosis import Diagnosis
 from ...errors import InputError
 from ...files import write_json, write_text

@@ -71,7 +71,7 @@ def begin(folder: Path) -> Start:
     model = load_model(folder / "model.yaml")
     rig = DynamicRig(model, parts, without=frozenset(BUILT_IN) - frozenset(about["candidates"]))
     fine, others = rig.with_parts(parts, False), rig.with_parts(held_out, True)
-    found = calibration.run(consistency.run(Logs(Fit(rig, {}, Settings()), fine, others)))
+    found = calibration.run(*consistency.run(Logs(Fit(rig, {}, Settings()), fine, others)))
     estimates = found.estimates
     errors = prove(others, {"before": found.given, "calibrated": estimates, "after": estimates}).errors
 
