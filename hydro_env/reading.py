@@ -63,11 +63,8 @@ def check_file(path: str | Path, what: str) -> None:
 def read_text(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file. InputError that says that `what` is expected ("a model in YAML") for anything else."""
     check_file(path, what)
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(max_bytes + 1)
-    except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror}); expected {what}") from None
+    with Path(path).open("rb") as file:
+        data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
         raise InputError(f"{path}: larger than {max_bytes / 2**20:g} MiB; expected {what}")
     try:
