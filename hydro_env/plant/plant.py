@@ -256,21 +256,20 @@ class Plant:
         kernel = self.kernel
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
+        moving = kernel.num_rows if parameters else kernel.rows["load"] + 1
+        parts = [(self._memory[:, :moving], other._memory[:, :moving])]
         if kernel.has_delay:
             self._ring = np.zeros((len(self._memory), other._ring.shape[1], 2 * kernel.half))
             self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
-        moving = kernel.num_rows if parameters else kernel.rows["load"] + 1
-        if rows is None and kernel.half == other.kernel.half:
-            self._memory[:, :moving] = other._memory[:, :moving]
-            if kernel.has_delay:
-                self._ring[:] = other._ring
-            return
+            parts.append((self._ring, other._ring))
         (block, lane), (from_block, from_lane) = self._lanes(), other._lanes(rows)
-        pairs = [(self._memory[:, :moving], other._memory[:, :moving]), (self._ring, other._ring)]
-        for mine, theirs in pairs[: 1 + kernel.has_delay]:
-            part = other._by_channel(theirs)[from_block, :, :, from_lane]
-            self._by_channel(mine)[block, :, :, lane] = part
+        for mine, theirs in parts:
+            if rows is None and kernel.half == other.kernel.half:
+                mine[:] = theirs
+            else:
+                part = other._by_channel(theirs)[from_block, :, :, from_lane]
+                self._by_channel(mine)[block, :, :, lane] = part
 
     def select(self, rows: NDArray[np.int64]) -> Plant:
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""

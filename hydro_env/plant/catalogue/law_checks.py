@@ -7,7 +7,6 @@ wherever the effect is compiled in without acting.
 from __future__ import annotations
 
 import ast
-import inspect
 from collections.abc import Callable, Iterator
 from functools import cache
 from math import isfinite, isinf
@@ -31,10 +30,7 @@ def check_laws(effect: Effect) -> None:
     for part, law, known in _laws(effect):
         where = f"effect {effect.name!r}: {part}"
         check_known(f"{_line(law)}: {where} asks for", arguments(law), known)
-        try:
-            laws.check_law(law)
-        except laws.LawError as problem:
-            raise InputError(f"line {problem.line}: {where}: {problem}") from None
+        laws.check_law(law, f"{where}: ")
     for quantity, law in effect.laws.items():
         _check_neutral(effect, quantity, law)
 
@@ -59,7 +55,7 @@ def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
 def _known_at(quantity: str) -> frozenset[str]:
     """Names of `rates` that have a value where the laws of a quantity stand; "": at the end."""
     known = set(arguments(rates))
-    for node in ast.parse(inspect.getsource(rates)).body[0].body:  # type: ignore[attr-defined]
+    for node in laws.parse(rates).body:
         if isinstance(node, ast.Assign):
             name = ast.unparse(node.targets[0])
             known.add(name)
