@@ -553,10 +553,7 @@ class _Body:
         if isinstance(base, Rec) and name in base.fields:
             return base.fields[name]
         if isinstance(base, Arr) and name == "size":
-            size = const(1, "int")
-            for each in base.shape:
-                size = mul(size, each)
-            return size
+            return reduce(mul, base.shape, const(1, "int"))
         if isinstance(base, Arr) and name == "shape":
             return base.shape
         raise self.fail(node)
@@ -630,18 +627,14 @@ class _Body:
         left = [part for part in parts if part.known is None]
         if not left:
             return const(both, "bool")
-        result = cast(left[0], "bool")
-        for part in left[1:]:
-            result = op("and" if both else "or", result, part)
-        return result
+        word = "and" if both else "or"
+        return reduce(lambda a, b: op(word, a, b), left[1:], cast(left[0], "bool"))
 
     def _power(self, node: ast.AST, base: Expr, power: Any, into: list[Statement]) -> Expr:
         if power is None or power != int(power) or not 1 <= power <= 8:
             raise self.fail(node, "has a power that is no whole number")
-        factor = result = self._held(base, into)
-        for _ in range(int(power) - 1):
-            result = op("mul", result, factor)
-        return result
+        factors: list[Expr] = [self._held(base, into)] * int(power)
+        return reduce(lambda a, b: op("mul", a, b), factors)
 
     def _choice(self, node: ast.IfExp, into: list[Statement]) -> Value:
         chosen = self.number(node.test, into)

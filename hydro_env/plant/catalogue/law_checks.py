@@ -29,14 +29,10 @@ def check_laws(effect: Effect) -> None:
     the kernel cannot, or changes its quantity at the neutral value."""
     for part, law, known in _laws(effect):
         where = f"effect {effect.name!r}: {part}"
-        check_known(f"{_line(law)}: {where} asks for", arguments(law), known)
+        check_known(f"line {law.__code__.co_firstlineno}: {where} asks for", arguments(law), known)
         laws.check_law(law, f"{where}: ")
     for quantity, law in effect.laws.items():
         _check_neutral(effect, quantity, law)
-
-
-def _line(law: Callable[..., Any]) -> str:
-    return f"line {law.__code__.co_firstlineno}"
 
 
 def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
@@ -82,8 +78,8 @@ def _check_neutral(effect: Effect, quantity: str, law: Callable[..., Any]) -> No
         if changed != value:
             neutral = ", ".join(f"{p.name}={p.neutral:g}" for p in effect.parameters if p.carries_size)
             raise InputError(
-                f"{_line(law)}: effect {effect.name!r}: the law of {quantity} is not neutral: at {neutral} it makes"
-                f" {changed:g} of {value:g}; there it must return {first!r} unchanged"
+                f"line {law.__code__.co_firstlineno}: effect {effect.name!r}: the law of {quantity} is not neutral: at"
+                f" {neutral} it makes {changed:g} of {value:g}; there it must return {first!r} unchanged"
             )
 
 

@@ -184,8 +184,9 @@ def _more_ripple(displacement, angle, sine_1, cosine_2, sine_2, cosine_3, sine_3
     s = sin(order * angle)
     c2 = c * c - s * s
     s2 = 2.0 * s * c
-    more = sine_1 * s + cosine_2 * c2 + sine_2 * s2
-    more = more + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s)
+    more = (
+        sine_1 * s + cosine_2 * c2 + sine_2 * s2 + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s)
+    )
     return displacement + D * more
 
 
