@@ -12,10 +12,6 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
-__all__ = [
-    "InputError", "InputWarning", "nearest", "place_of", "shown", "stopped_by_signals", "suggestion", "to_install",
-]  # fmt: skip
-
 #: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
 SIMILAR = 0.5
 #: Letters of a message, and of a value shown in it.

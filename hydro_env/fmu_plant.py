@@ -48,8 +48,6 @@ _SIGNALS = {
     "pressure": ("Pa", False), "current": ("A", False), "angle": ("rad", False),
 }  # fmt: skip
 _NEEDED = ("command", "speed")
-#: What an exported rig calls its rated commands.
-_RATED = ("channel_1.u_rated", "channel_2.u_rated")
 #: Rows of the memory: what a `Plant` shows the environment, and the rated commands.
 _ROWS = (
     "speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure", "peak_difference", "u_rated",
@@ -123,17 +121,16 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
         if (name, channel) not in links:
             lacking = f"{name} of channel {channel + 1} is missing"
             raise InputError(f"{mapping or file}: {lacking}; name its variable in --mapping")
-    own: list[Any] = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
-    one, two = own if given.rated is None else (given.rated, given.rated)
-    if one is None or two is None:
+    own = _own_values(variables, start)
+    rated = own.get("u_rated") if given.rated is None else (given.rated, given.rated)
+    if rated is None:
         raise InputError(f"{mapping or file}: rated is missing: the value of the commands at full command")
-    rated_V = float(one), float(two)
-    name, values = Path(file).stem, {"u_rated": rated_V}
+    name, values = Path(file).stem, {"u_rated": rated}
     rig = PlantModel(name)
     if given.model:
         like = given.model if given.model in preset_names() else Path(str(mapping)).parent / given.model
         rig = load_model(like)
-    rig = rig.with_values({"R": _coils(rig, rated_V)} | _own_values(variables, start) | values)
+    rig = rig.with_values({"R": _coils(rig, rated)} | own | values)
     return FmuModel(name, values, (), file=str(file), rig=rig, links=links, start=start)
 
 
@@ -149,9 +146,9 @@ def _own_values(variables: Mapping[str, Any], start: Mapping[str, float]) -> dic
     found = {}
     for name in (*PARAMETERS, "pressure_dependent_flow.supply_pressure"):
         own = [f"channel_{c}.{name}" for c in (1, 2)]
-        if all(each in variables for each in own):
-            one, two = (float(start.get(each, variables[each].start)) for each in own)
-            found[name] = (one, two)
+        one, two = (start.get(each, getattr(variables.get(each), "start", None)) for each in own)
+        if one is not None and two is not None:
+            found[name] = (float(one), float(two))
     return found
 
 

@@ -19,10 +19,10 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -82,48 +82,50 @@ def _held(function: Any) -> list[object]:
     return held
 
 
+@contextmanager
+def collector_waits() -> Iterator[None]:
+    """Python's collector of cyclic garbage waits: it would go through all that a compiler holds, again and again, which takes a
+    tenth of the time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 class _Compiling(event.Listener):  # type: ignore[misc]
     """One process compiles at a time: two that save different signatures of one function at once would mix up their files. The
-    others then find what it compiled. Python's collector of cyclic garbage waits meanwhile: it would go through all that a
-    compiler holds, which takes a tenth of the time."""
+    others then find what it compiled."""
 
     def __init__(self) -> None:
-        self._guard, self._inside = threading.Lock(), 0
-        self._lock: IO[bytes] | None = None
-        self._collects = False
+        self._guard, self._inside, self._meanwhile = threading.Lock(), 0, ExitStack()
 
     def on_start(self, event: event.Event) -> None:
         with self._guard:
             if self._inside == 0:
-                self._lock = _locked()
-                self._collects = gc.isenabled()
-                gc.disable()
+                self._meanwhile.enter_context(_locked())
+                self._meanwhile.enter_context(collector_waits())
             self._inside += 1
 
     def on_end(self, event: event.Event) -> None:
         with self._guard:
             self._inside -= 1
             if self._inside == 0:
-                if self._collects:
-                    gc.enable()
-                if self._lock is not None:
-                    self._lock.close()
+                self._meanwhile.close()
 
 
 event.register("numba:compiler_lock", _Compiling())
 
 
-def _locked() -> IO[bytes] | None:
-    """A file whose lock this process has until it is closed; None where there is no folder or are no locks."""
-    folder = _folder()
-    if folder is None or fcntl is None:
-        return None
-    try:
-        lock = open(folder / "lock", "wb")  # noqa: SIM115 (for longer than a block)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-    except OSError:  # a full disk, a file system without locks
-        return None
-    return lock
+def _locked() -> ExitStack:
+    """A file whose lock this process has until it is closed; nothing where there is no folder or are no locks."""
+    folder, held = _folder(), ExitStack()
+    if folder is not None and fcntl is not None:
+        with suppress(OSError):  # a full disk, a file system without locks
+            fcntl.flock(held.enter_context((folder / "lock").open("wb")), fcntl.LOCK_EX)
+    return held
 
 
 # --- files ---------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Reading YAML and JSON: every such file of the project is read here, and nothing else parses either.
 
-`check_file` looks at a user's file of any kind before it is opened.
+`check_file` looks at a user's file of any kind before it is opened; `run_python` runs one with Python code.
 
 What is read comes from strangers, too. So it is plain data (tables with text keys, lists, text, numbers, truth values, null)
 of a bounded size, depth and number of values, and whatever is wrong is one `InputError` that names file and line:
@@ -15,12 +15,16 @@ of a bounded size, depth and number of values, and whatever is wrong is one `Inp
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import json
 import os
 import re
 import stat
+import sys
 from importlib import resources
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import yaml
@@ -63,11 +67,8 @@ def check_file(path: str | Path, what: str) -> None:
 def read_text(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file. InputError that says that `what` is expected ("a model in YAML") for anything else."""
     check_file(path, what)
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(max_bytes + 1)
-    except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror}); expected {what}") from None
+    with Path(path).open("rb") as file:
+        data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
         raise InputError(f"{path}: larger than {max_bytes / 2**20:g} MiB; expected {what}")
     try:
@@ -92,6 +93,19 @@ def shipped_yaml(package: str, name: str) -> Any:
 def read_json(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> Any:
     """The content of a JSON file. InputError that names the file and `what` is expected."""
     return parse_json(read_text(path, what, max_bytes=max_bytes), str(path), max_values=max_bytes)
+
+
+def run_python(path: Path) -> ModuleType:
+    """Runs a Python file of the user's, who named it, as a module of its own. Raises what its code raises."""
+    # Files of one name in two folders are two modules.
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}_{digest}", path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # so that what it defines can be pickled to worker processes
+    # From the source itself: Python's cache takes a file of the same size that was written in the same second for the same.
+    exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    return module
 
 
 # --- YAML -------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from functools import partial
 from math import log, prod, sqrt
 from typing import Any
 
@@ -70,8 +71,7 @@ def _words(numbers: Sequence[int]) -> NDArray[np.uint64]:
     return np.array([(n & 2**64 - 1, n >> 64) for n in numbers], np.uint64).reshape(-1, 2)
 
 
-def _compiled(function: Any) -> Any:
-    return compiled(function, nogil=True)
+_compiled = partial(compiled, nogil=True)
 
 
 @_compiled

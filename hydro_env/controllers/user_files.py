@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from hydro_env.errors import InputError, place_of, suggestion
-from hydro_env.reading import check_file
+from hydro_env.reading import check_file, run_python
 
 
 def controllers_in(path: str) -> list[str]:
@@ -59,16 +56,8 @@ def _import(where: str) -> ModuleType:
 
 def _load_file(path: Path) -> ModuleType:
     check_file(path, "a Python file with a controller")
-    # Files of one name in two folders are two modules.
-    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
-    spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}_{digest}", path)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # so that what it defines can be pickled to worker processes
     try:
-        # From the source itself: Python's cache takes a file of the same size that was written in the same second for the same.
-        exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+        return run_python(path)
     except (Exception, SystemExit) as problem:
         where = place_of(problem) or str(path)
         raise InputError(f"{where}: {type(problem).__name__}: {problem}") from problem
-    return module

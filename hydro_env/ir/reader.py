@@ -14,7 +14,7 @@ import math
 import operator
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import compress
@@ -245,12 +245,15 @@ class Reader:
             self.functions[key] = self._read(source, names, given)
         made = self.functions[key]
         kept = self._kept[made.name]
-        whole = {inner.name: outer.name for inner, outer in _pairs(names.values(), values)}
+        arrays = [is_array for _, _, is_array in given]
+        whole = {
+            inner: outer.value for (inner, _, _), outer in compress(zip(given, handed, strict=True), arrays)
+        }
         written = frozenset(whole[each] for each in made.written if each in whole)
         return Called(made.name, self._results[made.name], list(compress(handed, kept)), written)
 
     def _read(self, source: Source, names: dict[str, Value], given: list[tuple[str, str, bool]]) -> Function:
-        body = _Body(self, source, names)
+        body = _Body(self, source, names, {each for each, _, is_array in given if is_array})
         changing = {made.name for made in self.functions.values() if made.written}
         statements, variables = without_unread(body.read(), body.declared, changing)
         used = names_read(statements)
@@ -261,15 +264,6 @@ class Reader:
         result = body.result.kind if isinstance(body.result, Expr) else ""
         written = body.written | {own for own, _, _ in outputs}
         return Function(name, parameters, variables, statements, result, written)
-
-
-def _pairs(inner: Iterable[Value], outer: Iterable[Value]) -> Iterator[tuple[Arr, Arr]]:
-    """The arrays of a call, as the called and as the calling function know them."""
-    for one, other in zip(inner, outer, strict=True):
-        if isinstance(one, Arr) and isinstance(other, Arr):
-            yield one, other
-        elif isinstance(one, Rec) and isinstance(other, Rec):
-            yield from _pairs(one.fields.values(), other.fields.values())
 
 
 def _is_product(node: ast.expr) -> bool:
@@ -284,11 +278,16 @@ def _negative(x: Expr) -> Expr:
 class _Body:
     """One function for arguments of known types."""
 
-    def __init__(self, whole: Reader, source: Source, names: dict[str, Value]) -> None:
-        self.whole, self.node, self.world, self.given = whole, source.node, source.world, names
+    def __init__(self, whole: Reader, source: Source, names: dict[str, Value], arrays: set[str]) -> None:
+        self.whole, self.node, self.world, self.given, self.arrays = (
+            whole,
+            source.node,
+            source.world,
+            names,
+            arrays,
+        )
         self.kinds: dict[str, str] = {}
         self.written: set[str] = set()
-        self.parameters = {each.name for each, _ in _pairs(names.values(), names.values())}
         inside = ast.walk(self.node)
         stores = Counter(n.id for n in inside if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store))
         self.stored = set(stores)
@@ -454,7 +453,7 @@ class _Body:
 
     def _write(self, place: Value, array: Arr, value: Value, node: ast.AST, into: list[Statement]) -> None:
         """place = value, where `place` is an element of an array, or a part of it."""
-        self.written |= {array.name} & self.parameters
+        self.written |= {array.name} & self.arrays
         indices: list[Expr] = []
         while isinstance(place, Arr):  # a loop around for each axis
             loop = For(self.fresh("i", "int"), const(0, "int"), place.shape[0], 1, [])
@@ -554,10 +553,7 @@ class _Body:
         if isinstance(base, Rec) and name in base.fields:
             return base.fields[name]
         if isinstance(base, Arr) and name == "size":
-            size = const(1, "int")
-            for each in base.shape:
-                size = mul(size, each)
-            return size
+            return reduce(mul, base.shape, const(1, "int"))
         if isinstance(base, Arr) and name == "shape":
             return base.shape
         raise self.fail(node)
@@ -631,18 +627,14 @@ class _Body:
         left = [part for part in parts if part.known is None]
         if not left:
             return const(both, "bool")
-        result = cast(left[0], "bool")
-        for part in left[1:]:
-            result = op("and" if both else "or", result, part)
-        return result
+        word = "and" if both else "or"
+        return reduce(lambda a, b: op(word, a, b), left[1:], cast(left[0], "bool"))
 
     def _power(self, node: ast.AST, base: Expr, power: Any, into: list[Statement]) -> Expr:
         if power is None or power != int(power) or not 1 <= power <= 8:
             raise self.fail(node, "has a power that is no whole number")
-        factor = result = self._held(base, into)
-        for _ in range(int(power) - 1):
-            result = op("mul", result, factor)
-        return result
+        factors: list[Expr] = [self._held(base, into)] * int(power)
+        return reduce(lambda a, b: op("mul", a, b), factors)
 
     def _choice(self, node: ast.IfExp, into: list[Statement]) -> Value:
         chosen = self.number(node.test, into)
@@ -686,7 +678,7 @@ class _Body:
 
     def _function(self, function: Any, values: list[Value], into: list[Statement]) -> Value:
         called = self.whole.call(function, values)
-        self.written |= called.written & self.parameters
+        self.written |= called.written & self.arrays
         if isinstance(called.result, Expr):
             return Expr("call", called.result.kind, tuple(called.handed), called.name)
         made: list[Expr] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -61,13 +60,7 @@ class PlantModel:
             raise InputError(
                 f"model {self.name!r}: tolerance_rpm is {self.tolerance / RPM:g}, expected 1e-6 to 1000 rpm"
             )
-        clean: dict[str, tuple[float, float]] = {}
-        for name, pair in self.values.items():
-            parameter_of(name)
-            first, second = float(pair[0]), float(pair[1])
-            if math.isnan(first) or math.isnan(second):
-                raise InputError(f"model {self.name!r}: {name} is not a number")
-            clean[name] = (first, second)
+        clean = {name: (float(pair[0]), float(pair[1])) for name, pair in self.values.items()}
         check_known(f"model {self.name!r}: unknown effect", self.declared, CATALOGUE)
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)

@@ -188,14 +188,6 @@ _ROWS = (
 PARAMETERS: dict[str, Parameter] = {row.name: row for row in _ROWS}
 
 #: A shape parameter of effects whose size depends on the pressure drop over single edges.
-SUPPLY_PRESSURE = Parameter(
-    "supply_pressure",
-    "Pa",
-    100e5,
-    low=50e5,
-    high=350e5,
-    log=True,
-    possible=(10e5, 350e5),
-    note="supply pressure",
-    source="assumed",
-)
+SUPPLY_PRESSURE = assumed(
+    "supply_pressure", "Pa", 100e5, low=50e5, high=350e5, log=True, possible=(10e5, 350e5), note="supply pressure"
+)  # fmt: skip

@@ -114,6 +114,10 @@ class Plant:
         #: The compiled step.
         self.kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype, grouped)
         kernel = self.kernel
+        #: Effects whose terms are compiled in.
+        self.effects = kernel.effects
+        #: Names of the states, which come first in the memory.
+        self.states = tuple(name for name, row in kernel.rows.items() if row < kernel.rows["time"])
         blocks = -(-self.num_rigs // kernel.half)
         described = [CATALOGUE[name] for name in kernel.effects]
         #: Parameters by which commands are late, and the longest delay that the delay line holds, s.
@@ -126,14 +130,16 @@ class Plant:
                 " are right"
             )
         self._fits(blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize)
-        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
+        #: The memory, (blocks, rows, 2 * half), for compiled readers: nothing to write to. Rig i is lane i % half of block i //
+        #: half, its channel 2 lies `half` lanes further; `row_of` numbers the rows.
+        self.memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
         #: The delay line: commands of rows and how long these lasted, s, and the slot of the last one.
         self._ring, self._lasted = np.zeros((blocks, 1, 2 * kernel.half)), np.full((blocks, 1), inf)
         self._head = 0
         self._empty = np.zeros((0, 1, self.num_rigs, 2))
         names = [*PARAMETERS, *(f"{e.name}.{p.name}" for e in described for p in e.parameters)]
         pairs = np.array([self.model.pair(name) for name in names])
-        self._by_channel(self._memory)[:, [self.row_of(name) for name in names]] = pairs[..., None]
+        self._by_channel(self.memory)[:, [self.row_of(name) for name in names]] = pairs[..., None]
         self._cells = kernel.room()
         self._observe()
 
@@ -157,27 +163,14 @@ class Plant:
         self._ring, self._lasted, self._head = ring, lasted, slots - 1
 
     # --- rows of the memory ---------------------------------------------------------------------------------------
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Effects whose terms are compiled in."""
-        return self.kernel.effects
-
     def _by_channel(self, cells: Array) -> Array:
         """The memory or the delay line, (blocks, rows, 2 * half), with an axis for the channel: (blocks, rows, 2, half)."""
         return cells.reshape(len(cells), -1, 2, self.kernel.half)
 
     def get(self, name: str) -> Array:
         """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
-        row = self._by_channel(self._memory)[:, self.row_of(name)]
+        row = self._by_channel(self.memory)[:, self.row_of(name)]
         return row.swapaxes(1, 2).reshape(-1, 2)[: self.num_rigs].astype(np.float64)
-
-    @property
-    def memory(self) -> Array:
-        """The memory itself, (blocks, rows, 2 * half), for compiled readers: no copy, and nothing to write to.
-
-        Rig i is lane i % half of block i // half, its channel 2 lies `half` lanes further; `row_of` numbers the rows.
-        """
-        return self._memory
 
     def row_of(self, name: str) -> int:
         """Number of the row of `memory` that holds a parameter or signal. KeyError for a name the plant lacks."""
@@ -209,7 +202,7 @@ class Plant:
                 raise InputError(
                     f"{name} is {pair.max():g} s, the delay line of this plant holds {self.longest_delay:g} s"
                 )
-        self._by_channel(self._memory)[block, places, :, lane] = pairs
+        self._by_channel(self.memory)[block, places, :, lane] = pairs
 
     def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
         """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state here."""
@@ -217,7 +210,7 @@ class Plant:
         if row >= self.kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
         block, lane = self._lanes(rows)
-        self._by_channel(self._memory)[block, row, :, lane] += np.asarray(by, float)
+        self._by_channel(self.memory)[block, row, :, lane] += np.asarray(by, float)
 
     def shift_sent(self, ago: int, by: ArrayLike, rows: slice) -> None:
         """Adds `by` (V), a number or (number of rows, 2), to the command of some rigs that was sent `ago` rows earlier
@@ -232,11 +225,11 @@ class Plant:
         """Puts all rigs, or `rows` (indices or mask), to rest at time zero."""
         moving = self.kernel.rows["load"] + 1  # states and outputs come first, in this order
         if rows is None:
-            self._memory[:, :moving, :] = 0.0
+            self.memory[:, :moving, :] = 0.0
             self._ring[:] = 0.0
         else:
             block, lane = self._lanes(rows)
-            for cells in (self._memory[:, :moving], self._ring):
+            for cells in (self.memory[:, :moving], self._ring):
                 self._by_channel(cells)[block, :, :, lane] = 0.0
         self._observe()
 
@@ -256,21 +249,20 @@ class Plant:
         kernel = self.kernel
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
-        if kernel.has_delay:
-            self._ring = np.zeros((len(self._memory), other._ring.shape[1], 2 * kernel.half))
-            self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
-            self._head = other._head
         moving = kernel.num_rows if parameters else kernel.rows["load"] + 1
-        if rows is None and kernel.half == other.kernel.half:
-            self._memory[:, :moving] = other._memory[:, :moving]
-            if kernel.has_delay:
-                self._ring[:] = other._ring
-            return
+        parts = [(self.memory[:, :moving], other.memory[:, :moving])]
+        if kernel.has_delay:
+            self._ring = np.zeros((len(self.memory), other._ring.shape[1], 2 * kernel.half))
+            self._lasted = np.tile(other._lasted[:1], (len(self.memory), 1))
+            self._head = other._head
+            parts.append((self._ring, other._ring))
         (block, lane), (from_block, from_lane) = self._lanes(), other._lanes(rows)
-        pairs = [(self._memory[:, :moving], other._memory[:, :moving]), (self._ring, other._ring)]
-        for mine, theirs in pairs[: 1 + kernel.has_delay]:
-            part = other._by_channel(theirs)[from_block, :, :, from_lane]
-            self._by_channel(mine)[block, :, :, lane] = part
+        for mine, theirs in parts:
+            if rows is None and kernel.half == other.kernel.half:
+                mine[:] = theirs
+            else:
+                part = other._by_channel(theirs)[from_block, :, :, from_lane]
+                self._by_channel(mine)[block, :, :, lane] = part
 
     def select(self, rows: NDArray[np.int64]) -> Plant:
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""
@@ -310,7 +302,7 @@ class Plant:
         half = self.kernel.half
         blocks = slice(rigs.start // half, -(-rigs.stop // half))
         self.kernel.advance(
-            self._memory[blocks].reshape(-1), self.kernel.room(), self._ring[blocks] if self.kernel.has_delay else None,
+            self.memory[blocks].reshape(-1), self.kernel.room(), self._ring[blocks] if self.kernel.has_delay else None,
             self._lasted[blocks], self._head, command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
             self._empty[:, :, rigs], grid_points(period),
         )  # fmt: skip
@@ -350,7 +342,7 @@ class Plant:
             raise ValueError(f"period is {period}, expected more than 0 s")
         self.make_room(period)
         self.kernel.advance(
-            self._memory.reshape(-1), self._cells, self._ring if self.kernel.has_delay else None, self._lasted, self._head,
+            self.memory.reshape(-1), self._cells, self._ring if self.kernel.has_delay else None, self._lasted, self._head,
             command_V, load_Nm, period, self.tolerance, rows, every, out, points,
         )  # fmt: skip
         self.turn(command_V.shape[0])
@@ -359,11 +351,6 @@ class Plant:
     def delay(self) -> Array:
         """By how much the commands are late, (num_rigs, 2), s."""
         return np.sum([np.zeros((self.num_rigs, 2)), *map(self.get, self.delays)], axis=0)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states, which come first in the memory."""
-        return tuple(name for name, row in self.kernel.rows.items() if row < self.kernel.rows["time"])
 
     @property
     def angle_acts(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import inf, log10
+from math import inf, log10, prod
 from typing import TYPE_CHECKING, Protocol
 
 from ..reading import shipped_yaml
@@ -59,10 +59,8 @@ class Scales:
 
     def factor(self, unit: str) -> float:
         """Scale of a quantity with this unit."""
-        factor = 1.0
-        for name, power in _DIMENSIONS.get(unit, {}).items():
-            factor *= getattr(self, name) ** power
-        return factor
+        powers = _DIMENSIONS.get(unit, {}).items()
+        return prod((getattr(self, name) ** power for name, power in powers), start=1.0)
 
     def parameter(self, p: Parameter) -> Parameter:
         """A parameter with the bounds and sizes that are usual on this rig; `p` itself where they are the same."""

@@ -6,9 +6,8 @@ They stand here once: environments, controllers, practice logs and the diagnosis
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 #: Standard deviation by signal: of the rig's three sensors, and of two that only a test bench has.
-NOISE: Mapping[str, float] = MappingProxyType(
-    {"speed_rpm": 1.0, "current_A": 0.002, "pressure_bar": 0.05, "spool_mm": 0.001, "flow_lpm": 0.05}
-)
+NOISE: Mapping[str, float] = {
+    "speed_rpm": 1.0, "current_A": 0.002, "pressure_bar": 0.05, "spool_mm": 0.001, "flow_lpm": 0.05,
+}  # fmt: skip

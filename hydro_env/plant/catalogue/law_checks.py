@@ -7,7 +7,6 @@ wherever the effect is compiled in without acting.
 from __future__ import annotations
 
 import ast
-import inspect
 from collections.abc import Callable, Iterator
 from functools import cache
 from math import isfinite, isinf
@@ -30,17 +29,10 @@ def check_laws(effect: Effect) -> None:
     the kernel cannot, or changes its quantity at the neutral value."""
     for part, law, known in _laws(effect):
         where = f"effect {effect.name!r}: {part}"
-        check_known(f"{_line(law)}: {where} asks for", arguments(law), known)
-        try:
-            laws.check_law(law)
-        except laws.LawError as problem:
-            raise InputError(f"line {problem.line}: {where}: {problem}") from None
+        check_known(f"line {law.__code__.co_firstlineno}: {where} asks for", arguments(law), known)
+        laws.check_law(law, f"{where}: ")
     for quantity, law in effect.laws.items():
         _check_neutral(effect, quantity, law)
-
-
-def _line(law: Callable[..., Any]) -> str:
-    return f"line {law.__code__.co_firstlineno}"
 
 
 def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
@@ -59,7 +51,7 @@ def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
 def _known_at(quantity: str) -> frozenset[str]:
     """Names of `rates` that have a value where the laws of a quantity stand; "": at the end."""
     known = set(arguments(rates))
-    for node in ast.parse(inspect.getsource(rates)).body[0].body:  # type: ignore[attr-defined]
+    for node in laws.parse(rates).body:
         if isinstance(node, ast.Assign):
             name = ast.unparse(node.targets[0])
             known.add(name)
@@ -86,8 +78,8 @@ def _check_neutral(effect: Effect, quantity: str, law: Callable[..., Any]) -> No
         if changed != value:
             neutral = ", ".join(f"{p.name}={p.neutral:g}" for p in effect.parameters if p.carries_size)
             raise InputError(
-                f"{_line(law)}: effect {effect.name!r}: the law of {quantity} is not neutral: at {neutral} it makes"
-                f" {changed:g} of {value:g}; there it must return {first!r} unchanged"
+                f"line {law.__code__.co_firstlineno}: effect {effect.name!r}: the law of {quantity} is not neutral: at"
+                f" {neutral} it makes {changed:g} of {value:g}; there it must return {first!r} unchanged"
             )
 
 

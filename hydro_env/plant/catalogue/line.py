@@ -284,12 +284,8 @@ CASE_DRAIN = _effect(
     signature="like internal leakage, and both lines stand below the middle of the supply, in either direction alike",
     source="external leakage of a motor, Merritt 1967, ch. 4; mean pressure of the lines, ch. 5 and 6",
     parameters=(
-        replace(
-            EXTERNAL_LEAKAGE.parameter("conductance"),
-            low=0.0,
-            possible=(0.0, 1e-10),
-            note="conductance of the drain from either line",
-        ),
+        replace(EXTERNAL_LEAKAGE.parameter("conductance"), low=0.0, possible=(0.0, 1e-10),
+            note="conductance of the drain from either line"),
         SUPPLY_PRESSURE,
     ),
     laws={"leakage": _case_drain},

@@ -33,15 +33,8 @@ _VISCOSITY = Parameter(
     log=True,
 )  # fmt: skip
 _DENSITY = Parameter(
-    "density",
-    "kg/m3",
-    870.0,
-    800.0,
-    1200.0,
-    "mineral oil; up to 1200 for phosphate esters",
-    "density",
-    log=True,
-)
+    "density", "kg/m3", 870.0, 800.0, 1200.0, "mineral oil; up to 1200 for phosphate esters", "density", log=True
+)  # fmt: skip
 _SLIP = Parameter(
     "slip", "1", 0.0, 0.0, 5e-6, "the paper's Km is 4.7e-6; piston machines have 1e-9 to 1e-8",
     "Cs: laminar leakage Cs D dp/mu", 1.5e-6,

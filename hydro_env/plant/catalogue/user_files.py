@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import InputError, place_of
-from ...reading import check_file
+from ...reading import check_file, run_python
 from ..kernel import compile_kernel
 from .effect import CATALOGUE
 from .law_checks import check_laws
@@ -38,13 +36,8 @@ def _run(file: Path, shown: str) -> tuple[str, ...]:
     if file.suffix != ".py":
         raise InputError(f"{shown}: not a Python file with effects; expected {what}")
     before = set(CATALOGUE)
-    module_name = f"hydro_env_user_{file.stem}"
-    specification = importlib.util.spec_from_file_location(module_name, file)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[module_name] = module
     try:
-        specification.loader.exec_module(module)
+        run_python(file)
         names = tuple(name for name in CATALOGUE if name not in before)
         if not names:
             raise InputError("registers no effect; it must call hydro_env.plant.register(Effect(...))")

@@ -28,7 +28,6 @@ from .layout import (
     STATES,
     Layout,
     in_text,
-    layout_of,
     parameters_of,
     scale_of,
     states_of,
@@ -489,7 +488,7 @@ def _first_used(lines: list[str]) -> list[str]:
 def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -> Module:
     """The module of a kernel for these effects, for blocks of `half` rigs, see `_Sweeps` for `grouped`."""
     given, effects = effects, with_shared(effects)
-    layout = layout_of(effects, half)
+    layout = Layout(effects, half)
     sweeps = _Sweeps(layout, step_of(effects), grouped)
     head = f"from math import floor, sqrt\n\nHALF = {half}\nLANES = 2 * HALF"
     texts = [_sweep(layout, name, getattr(sweeps, name)()) for name in SWEEPS]

@@ -6,6 +6,7 @@ sweeps (see `codegen`).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,8 @@ def copy(typing: Any, to: Any, place: Any, source: Any, first: Any, count: Any) 
     return types.none(to, types.intp, source, types.intp, types.intp), emit
 
 
-def _nogil(function: Any) -> Any:
-    return compiled(function, nogil=True)  # threads may step plants of their own side by side
+# Threads may step plants of their own side by side.
+_nogil = partial(compiled, nogil=True)
 
 
 @_nogil

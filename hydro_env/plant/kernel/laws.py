@@ -10,6 +10,7 @@ from copy import deepcopy
 from functools import lru_cache
 from typing import Any
 
+from ...errors import InputError
 from .. import vector_math
 from ..catalogue.effect import called_by, helpers_of
 
@@ -24,14 +25,6 @@ _ALLOWED = (
     ast.Add, ast.Sub, ast.Mult, ast.Div, ast.BitAnd, ast.BitOr, ast.And, ast.Or, ast.Lt, ast.Gt, ast.LtE, ast.GtE, ast.Eq,
     ast.NotEq,
 )  # fmt: skip
-
-
-class LawError(ValueError):
-    """What a law may not do, and in which line of its file."""
-
-    def __init__(self, message: str, line: int) -> None:
-        super().__init__(message)
-        self.line = line
 
 
 @lru_cache(maxsize=1024)
@@ -54,17 +47,18 @@ def parse(function: Function) -> ast.FunctionDef:
 
 
 # --- checks -----------------------------------------------------------------------------------------------------------
-def check_law(law: Function) -> None:
-    """LawError, in one line, if a law, or a function that it calls, cannot run on many lanes at once."""
+def check_law(law: Function, where: str = "") -> None:
+    """InputError, with the line of its file and `where`, if a law, or a function that it calls, cannot run on many lanes."""
     functions: list[Function] = [law, *called_by(law)]
     for function in functions:
         if function in called_by(function):
-            raise LawError(f"{function.__name__}: calls itself", function.__code__.co_firstlineno)
-        check(parse(function), {*vector_math.__all__, *helpers_of(function)})
+            line = function.__code__.co_firstlineno
+            raise InputError(f"line {line}: {where}{function.__name__}: calls itself")
+        check(parse(function), {*vector_math.__all__, *helpers_of(function)}, where)
 
 
-def check(function: ast.FunctionDef, known: Collection[str]) -> None:
-    """LawError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
+def check(function: ast.FunctionDef, known: Collection[str], where: str = "") -> None:
+    """InputError, as `check_law`, if a function cannot run on many lanes at once; `known` are the functions it may call."""
     known = {*known, *INSTRUCTIONS}
     hint = (
         "a law may use + - * / and whole powers, comparisons, conditional expressions, if and return, functions of its own file,"
@@ -75,16 +69,18 @@ def check(function: ast.FunctionDef, known: Collection[str]) -> None:
         parts = [node.op] if isinstance(node, ast.BinOp) else [node]
         if not all(isinstance(part, _ALLOWED) for part in parts):
             text = ast.unparse(node).splitlines()[0]
-            raise LawError(f"{function.name}: {text!r}: {hint}", getattr(node, "lineno", function.lineno))
+            line = getattr(node, "lineno", function.lineno)
+            raise InputError(f"line {line}: {where}{function.name}: {text!r}: {hint}")
         if isinstance(node, ast.Call) and ast.unparse(node.func) not in known:
             text = ast.unparse(node.func)
-            raise LawError(f"{function.name}: {text!r} cannot be called: {hint}", node.lineno)
+            raise InputError(f"line {node.lineno}: {where}{function.name}: {text!r} cannot be called: {hint}")
     assigned = {a.arg for a in function.args.args}
     assigned |= {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     called = {ast.unparse(n.func) for n in body if isinstance(n, ast.Call)}
     for node in body:
         if isinstance(node, ast.Name) and node.id not in called | assigned:
-            raise LawError(f"{function.name}: {node.id!r} is not an argument of the law", node.lineno)
+            told = f"{function.name}: {node.id!r} is not an argument of the law"
+            raise InputError(f"line {node.lineno}: {where}{told}")
 
 
 # --- text -------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ holds one name of all lanes; all rows of a block lie one after the other in a fl
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from ..catalogue.effect import Effect, State
 from ..parameters import PARAMETERS
@@ -52,19 +51,18 @@ def scale_of(adding: Iterable[tuple[Effect, State]]) -> float:
     return float(max(state.scale for _, state in adding))
 
 
-@dataclass(frozen=True)
 class Layout:
-    """Names and rows of a block. `states` are those of `rates` and of the effects. The first `moving` rows change with time, the
-    first `kept` ones stay between calls; a name without a row gets the next one when it is first used.
+    """Names and rows of a block of `half` rigs. `states` are those of `rates` and of the effects. The first `moving` rows change
+    with time, the first `kept` ones stay between calls; a name without a row gets the next one when it is first used.
     """
 
-    effects: tuple[Effect, ...]
-    half: int
-    states: tuple[str, ...]
-    parameters: tuple[str, ...]
-    rows: dict[str, int]
-    moving: int
-    kept: int
+    def __init__(self, effects: tuple[Effect, ...], half: int) -> None:
+        self.effects, self.half, self.parameters = effects, half, parameters_of(effects)
+        self.states = STATES + tuple(states_of(effects))
+        moving = [*self.states, *_OUTPUTS]
+        kept = [*moving, *self.parameters]
+        self.rows = {name: row for row, name in enumerate([*kept, "row_left"])}
+        self.moving, self.kept = len(moving), len(kept)
 
     @property
     def staged(self) -> list[str]:
@@ -88,13 +86,3 @@ class Layout:
 def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
     """The parameters of a channel with these effects."""
     return (*PARAMETERS, *(in_text(e, p.name) for e in effects for p in e.parameters))
-
-
-def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
-    """The layout of a block of `half` rigs with these effects."""
-    parameters = parameters_of(effects)
-    states = STATES + tuple(states_of(effects))
-    moving = [*states, *_OUTPUTS]
-    kept = [*moving, *parameters]
-    rows = {name: row for row, name in enumerate([*kept, "row_left"])}
-    return Layout(effects, half, states, parameters, rows, len(moving), len(kept))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import inspect
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -15,7 +13,7 @@ from llvmlite import binding as llvm
 from numba.core.registry import cpu_target
 
 from hydro_env.ir import nodes, reader
-from hydro_env.jit import keep, kept
+from hydro_env.jit import collector_waits, keep, kept
 
 from . import vector_ir
 from .driver import SWEEPS
@@ -39,22 +37,10 @@ def machine_code(text: str, single: bool, sweeps: Iterable[str] = SWEEPS) -> Mac
     name = f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.o"
     found = kept(name)
     if found is None:
-        with _collector_waits():
+        with collector_waits():
             found = _compiled(vector_ir.llvm_text(text, single, _register()))
         keep(name, found)
     return MachineCode(found, sweeps)
-
-
-@contextmanager
-def _collector_waits() -> Iterator[None]:
-    """Python's collector of cyclic garbage waits: it would go through all expressions again and again while they are made."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def _compiled(text: str) -> bytes:

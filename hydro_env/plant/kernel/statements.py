@@ -7,8 +7,6 @@ looked at as a syntax tree (`target`, `reads`).
 from __future__ import annotations
 
 import ast
-import inspect
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -104,7 +102,7 @@ def functions(effects: Iterable[Effect]) -> list[str]:
 def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
     """The statements of `rates`; a quantity passes through the laws of the effects as soon as it is there."""
     body = []
-    for node in ast.parse(textwrap.dedent(inspect.getsource(rates))).body[0].body:  # type: ignore[attr-defined]
+    for node in laws.parse(rates).body:
         if isinstance(node, ast.Assign):
             line = ast.unparse(node)
             body += [line, *(chain(target(line), effects) if target(line) in QUANTITIES else ())]

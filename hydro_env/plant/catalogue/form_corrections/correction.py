@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from functools import partial
 from math import nan
 from typing import Any
 
 from ...parameters import SPOOL_FORCE, Parameter
-from ..effect import Effect, State
+from ..effect import Effect
 
 #: The family of these effects.
 FAMILY = "shape"
@@ -37,11 +37,6 @@ def taken(name: str, low: float, typical: float) -> Parameter:
     return fitted(name, "N", 0.0, low, 0.0, note, -typical, scaling=SPOOL_FORCE)
 
 
-def correction(
-    name: str, port: str, summary: str, parameters: tuple[Parameter, ...], laws: Mapping[str, Callable[..., float]],
-    corrects: Mapping[str, Mapping[str, str | float]], states: tuple[State, ...] = (), **more: Any,
-) -> Effect:  # fmt: skip
-    return Effect(
-        name=name, port=port, parameters=parameters, summary=summary, signature="what the form of a named effect leaves",
-        source=NO_PHYSICS, laws=laws, corrects=corrects, states=states, family=FAMILY, **more,
-    )  # fmt: skip
+correction = partial(
+    Effect, signature="what the form of a named effect leaves", source=NO_PHYSICS, family=FAMILY
+)

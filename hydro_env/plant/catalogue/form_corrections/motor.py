@@ -31,11 +31,11 @@ def _second_rate(second, first, time_constant, share):
 
 
 SUPPLY_FORM = correction(
-    "supply_form", "supply", "the supply follows the flow with two lags of the same sum",
-    (fitted("share", "1", 0.0, 0.0, 0.5, "share of the memory in the second lag", 0.2),),
-    {"drive": _late_drive},
-    {"supply_droop": {}},
-    (State("first", _first_droop, scale=0.1), State("second", _second_rate, scale=0.1)),
+    name="supply_form", port="supply", summary="the supply follows the flow with two lags of the same sum",
+    parameters=(fitted("share", "1", 0.0, 0.0, 0.5, "share of the memory in the second lag", 0.2),),
+    laws={"drive": _late_drive},
+    corrects={"supply_droop": {}},
+    states=(State("first", _first_droop, scale=0.1), State("second", _second_rate, scale=0.1)),
     scope="rig",
     shares=SUPPLY_DROOP,
 )  # fmt: skip
@@ -52,12 +52,12 @@ def _softness_curve(bulk_modulus, pressure, soft_0, soft_1, soft_2, soft_3, soft
 
 
 SOFTNESS_FORM = correction(
-    "softness_form", "line", "softness of the fluid as a curve over the pressure",
-    tuple(
+    name="softness_form", port="line", summary="softness of the fluid as a curve over the pressure",
+    parameters=tuple(
         amount(f"soft_{n}", "1", 0.15, f"log of the relative softness at {p:g} bar") for n, p in enumerate((0, 1, 2.5, 6, 20))
     ),
-    {"bulk_modulus": _softness_curve},
-    {"entrained_air": {}},
+    laws={"bulk_modulus": _softness_curve},
+    corrects={"entrained_air": {}},
 )  # fmt: skip
 
 
@@ -74,15 +74,15 @@ def _override(leakage, pressure, rounding, steepening, relief_pressure, conducta
 
 
 OVERRIDE_FORM = correction(
-    "override_form", "line", "relief valves crack gradually, and their slope changes with the excess",
-    (
+    name="override_form", port="line", summary="relief valves crack gradually, and their slope changes with the excess",
+    parameters=(
         amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
         fitted("steepening", "1/MPa", 0.0, -0.5, 2.0, "growth of the slope with the excess", 0.3),
         repeated("relief_pressure", "Pa", inf, 5e5, inf),
         repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, scaling=MOTOR_SIZE),
     ),
-    {"leakage": _override},
-    {"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
+    laws={"leakage": _override},
+    corrects={"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
 )  # fmt: skip
 
 
@@ -112,8 +112,8 @@ def _drained_by_curve(
 
 
 LEAK_FORM = correction(
-    "leak_form", "line", "the leak from a line as a curve over its pressure",
-    (
+    name="leak_form", port="line", summary="the leak from a line as a curve over its pressure",
+    parameters=(
         *(
             fitted(f"leak_{n}", "1", 0.0, -0.8, 3.0, f"relative leak at {x} of half the supply pressure", 0.2)
             for n, x in enumerate(("1/8", "1/4", "1/2"))
@@ -121,8 +121,8 @@ LEAK_FORM = correction(
         repeated("conductance", "m3/(s Pa)", 0.0, -1e-10, 1e-10, scaling=MOTOR_SIZE),
         repeated("supply_pressure", "Pa", 1e7, 2e6, 35e6),
     ),
-    {"leakage": _leak_curve},
-    {"external_leakage": {"conductance": "conductance", "supply_pressure": "supply_pressure"}},
+    laws={"leakage": _leak_curve},
+    corrects={"external_leakage": {"conductance": "conductance", "supply_pressure": "supply_pressure"}},
     states=(State("mean_pressure", _drained_by_curve, scale=0.01),),
     shares=BOTH_LINES,
 )  # fmt: skip
@@ -141,13 +141,13 @@ def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_
 
 
 TORQUE_FORM = correction(
-    "torque_form", "motor", "torque that is lost as a curve over the speed",
-    tuple(
+    name="torque_form", port="motor", summary="torque that is lost as a curve over the speed",
+    parameters=tuple(
         amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s", scaling=MOTOR_SIZE)
         for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
     ),
-    {"torque": _torque_curve},
-    {"motor_coulomb_friction": {}, "quadratic_drag": {}, "line_loss": {}},
+    laws={"torque": _torque_curve},
+    corrects={"motor_coulomb_friction": {}, "quadratic_drag": {}, "line_loss": {}},
 )  # fmt: skip
 
 
@@ -165,17 +165,17 @@ def _rest_rate(rest, speed, travel):
 
 
 REST_FORM = correction(
-    "rest_form", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
-    (
+    name="rest_form", port="motor", summary="dry friction builds up over a small turn (Dahl) in the place of a smooth step",
+    parameters=(
         amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
         fitted("damping", "s", 0.002, 0.0, 0.02, "damping while it builds up, over the friction", 0.002),
         repeated("coulomb", "N m", 0.0, 0.0, 2.0, scaling=MOTOR_SIZE),
         repeated("static", "N m", 0.0, 0.0, 3.0, scaling=MOTOR_SIZE),
         repeated("stribeck_speed", "rad/s", 3.0, 0.2, 20.0),
     ),
-    {"torque": _dahl_torque},
-    {"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
-    (State("rest", _rest_rate),),
+    laws={"torque": _dahl_torque},
+    corrects={"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
+    states=(State("rest", _rest_rate),),
 )  # fmt: skip
 
 
@@ -191,16 +191,16 @@ def _more_ripple(displacement, angle, sine_1, cosine_2, sine_2, cosine_3, sine_3
 
 
 RIPPLE_FORM = correction(
-    "ripple_form", "motor", "phase and harmonics of the ripple of the displacement",
-    (
+    name="ripple_form", port="motor", summary="phase and harmonics of the ripple of the displacement",
+    parameters=(
         *(
             amount(n, "1", 0.01, f"{'co' * n.startswith('co')}sine of {n[-1]} times the ripple's order")
             for n in ("sine_1", "cosine_2", "sine_2", "cosine_3", "sine_3")
         ),
         repeated("order", "1", 7.0, 3.0, 13.0),
     ),
-    {"displacement": _more_ripple},
-    {"displacement_ripple": {"order": "order"}},
+    laws={"displacement": _more_ripple},
+    corrects={"displacement_ripple": {"order": "order"}},
 )  # fmt: skip
 
 
@@ -213,13 +213,13 @@ def _more_turns(torque, angle, cosine_2, sine_2, cosine_3, sine_3):
 
 
 TURNING_FORM = correction(
-    "turning_form", "load", "harmonics of a torque that turns with the shaft",
-    tuple(
+    name="turning_form", port="load", summary="harmonics of a torque that turns with the shaft",
+    parameters=tuple(
         amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle", scaling=MOTOR_SIZE)
         for n in ("cosine_2", "sine_2", "cosine_3", "sine_3")
     ),
-    {"torque": _more_turns},
-    {"eccentric_load": {}},
+    laws={"torque": _more_turns},
+    corrects={"eccentric_load": {}},
 )  # fmt: skip
 
 
@@ -233,13 +233,13 @@ def _second_drift_friction(viscous_friction, more, time, time_constant):
 
 
 DRIFT_FORM = correction(
-    "drift_form", "fluid", "a second, faster or slower part of the drift",
-    (
+    name="drift_form", port="fluid", summary="a second, faster or slower part of the drift",
+    parameters=(
         amount("more", "1", 0.2, "log of final over initial viscosity, second part"),
         fitted("time_constant", "s", 3.0, 0.3, 3000.0, "time constant of the second part", 3.0, log=True),
     ),
-    {"leakage_coefficient": _second_drift_leakage, "viscous_friction": _second_drift_friction},
-    {"viscosity_drift": {}},
+    laws={"leakage_coefficient": _second_drift_leakage, "viscous_friction": _second_drift_friction},
+    corrects={"viscosity_drift": {}},
     scope="rig",
 )  # fmt: skip
 
@@ -255,11 +255,11 @@ def _first_lag(first, speed, time_constant, share):
 
 
 SENSOR_FORM = correction(
-    "sensor_form", "sensor", "the sensor follows with two lags of the same sum",
-    (fitted("share", "1", 0.0, 0.0, 0.5, "share of the lag in the second filter", 0.2),),
-    {"measured_speed": _late_speed},
-    {"sensor_lag": {}},
-    (State("first", _first_lag, scale=10.0), State("second", _second_rate, scale=10.0)),
+    name="sensor_form", port="sensor", summary="the sensor follows with two lags of the same sum",
+    parameters=(fitted("share", "1", 0.0, 0.0, 0.5, "share of the lag in the second filter", 0.2),),
+    laws={"measured_speed": _late_speed},
+    corrects={"sensor_lag": {}},
+    states=(State("first", _first_lag, scale=10.0), State("second", _second_rate, scale=10.0)),
     shares=SENSOR_LAG,
 )  # fmt: skip
 
@@ -296,14 +296,14 @@ def _load_behind_damper(
 
 
 COUPLING_FORM = correction(
-    "coupling_form", "load", "the damper of a coupling as a curve over its winding",
-    tuple(
+    name="coupling_form", port="load", summary="the damper of a coupling as a curve over its winding",
+    parameters=tuple(
         amount(f"damper_{n}", "1", 0.3, f"relative damping more at a winding of {w} mrad")
         for n, w in enumerate((2, 7, 50), 1)
     ),
-    {"torque": _torque_of_damper},
-    {"shaft_backlash": {}},
-    (State("load_speed", _load_behind_damper, scale=0.2),),
+    laws={"torque": _torque_of_damper},
+    corrects={"shaft_backlash": {}},
+    states=(State("load_speed", _load_behind_damper, scale=0.2),),
     shares=SHAFT_BACKLASH,
 )  # fmt: skip
 

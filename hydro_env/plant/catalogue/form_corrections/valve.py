@@ -21,14 +21,14 @@ def _knee(voltage, command, drop, reach, voltage_limit):
 
 
 KNEE_FORM = correction(
-    "knee_form", "driver", "the driver gives less than is asked for even before its limit",
-    (
+    name="knee_form", port="driver", summary="the driver gives less than is asked for even before its limit",
+    parameters=(
         amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
         fitted("reach", "1", 0.15, 0.03, 0.6, "share of the limit, both ways, from which on it lacks", 0.15, log=True),
         repeated("voltage_limit", "V", 1e9, 1.0, 1e9),
     ),
-    {"voltage": _knee},
-    {"driver_saturation": {"voltage_limit": "voltage_limit"}},
+    laws={"voltage": _knee},
+    corrects={"driver_saturation": {"voltage_limit": "voltage_limit"}},
 )  # fmt: skip
 
 
@@ -51,14 +51,14 @@ def _spread_rate(play, command, part, spread, width):
 
 
 PLAY_FORM = correction(
-    "play_form", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
-    (
+    name="play_form", port="driver", summary="a quarter of the command passes a narrower play, a quarter a wider one",
+    parameters=(
         fitted("spread", "1", 0.0, 0.0, 1.0, "by how much these plays are narrower and wider", 0.4),
         repeated("width", "V", 0.0, 0.0, 1e3),
     ),
-    {"voltage": _three_plays},
-    {"input_hysteresis": {"width": "width"}},
-    (
+    laws={"voltage": _three_plays},
+    corrects={"input_hysteresis": {"width": "width"}},
+    states=(
         State("as_before", _PLAY.rate, given={"follower": "as_before"}),
         State("narrow", _spread_rate, given={"play": "narrow", "part": -1.0}),
         State("wide", _spread_rate, given={"play": "wide", "part": 1.0}),
@@ -75,16 +75,16 @@ def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
 
 
 CORNER_FORM = correction(
-    "corner_form", "opening", "corners of the opening are rounded",
-    (
+    name="corner_form", port="opening", summary="corners of the opening are rounded",
+    parameters=(
         # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
         fitted("rounding", "m", 0.0, 0.0, 3e-4, "half the travel over which a corner is rounded", 1e-5, scaling=SPOOL_TRAVEL),
         repeated("turn", "1", 1.0, -1.0, 1.0),
         repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
         repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
     ),
-    {"opening": _rounded},
-    {
+    laws={"opening": _rounded},
+    corrects={
         "dead_zone": {"turn": 1.0, "corner_positive": "overlap_positive", "corner_negative": "overlap_negative"},
         "flow_saturation": {"turn": -1.0, "corner_positive": "opening_limit", "corner_negative": "opening_limit"},
     },
@@ -109,14 +109,14 @@ def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6,
 
 
 OPENING_FORM = correction(
-    "opening_form", "opening", "gain of the opening as a curve over the logarithm of the opening",
-    tuple(
+    name="opening_form", port="opening", summary="gain of the opening as a curve over the logarithm of the opening",
+    parameters=tuple(
         # A gain may be several times another; it cannot lose more than all.
         fitted(f"gain_{n}", "1", 0.0, -0.8, 3.0, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2)
         for n in range(7)
     ),
-    {"opening": _gain_curve},
-    {n: {} for n in ("flow_gain_nonlinearity", "dead_zone", "flow_saturation", "directional_gain", "null_offset")},
+    laws={"opening": _gain_curve},
+    corrects={n: {} for n in ("flow_gain_nonlinearity", "dead_zone", "flow_saturation", "directional_gain", "null_offset")},
 )  # fmt: skip
 
 
@@ -134,14 +134,15 @@ def _orifice(flow, opening, drive, transition, laminar, Kq):
 
 
 ORIFICE_FORM = correction(
-    "orifice_form", "flow", "edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
-    (
+    name="orifice_form", port="flow",
+    summary="edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
+    parameters=(
         # Up to some bar: sharp edges are turbulent from Reynolds numbers of 10 to 260 on (Merritt 1967, ch. 3).
         fitted("transition", "1", 0.0, 0.0, 0.3, "pressure drop over the supply's below which it is laminar", 0.03),
         fitted("laminar", "1", 0.0, 0.0, 0.8, "share of the whole drop that a laminar gap in series takes", 0.03),
     ),
-    {"flow": _orifice},
-    {"pressure_dependent_flow": {}},
+    laws={"flow": _orifice},
+    corrects={"pressure_dependent_flow": {}},
 )  # fmt: skip
 
 
@@ -152,13 +153,13 @@ def _preload_over(force, spool, travel, preload):
 
 
 PRELOAD_FORM = correction(
-    "preload_form", "force", "preload takes hold over less or more travel",
-    (
+    name="preload_form", port="force", summary="preload takes hold over less or more travel",
+    parameters=(
         fitted("travel", "m", 2e-5, 1e-6, 2e-4, "travel over which the preload takes hold", 1e-5, log=True),
         repeated("preload", "N", 0.0, 0.0, 6.0, scaling=SPOOL_FORCE),
     ),
-    {"force": _preload_over},
-    {"spring_preload": {"preload": "preload"}},
+    laws={"force": _preload_over},
+    corrects={"spring_preload": {"preload": "preload"}},
 )  # fmt: skip
 
 
@@ -173,13 +174,13 @@ def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
 
 
 CENTRING_FORM = correction(
-    "centring_form", "force", "centring force as a curve over the travel",
-    tuple(
+    name="centring_form", port="force", summary="centring force as a curve over the travel",
+    parameters=tuple(
         amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel", scaling=SPOOL_FORCE)
         for n, x in enumerate((5, 15, 35, 80, 200), 1)
     ),
-    {"force": _centring},
-    {"spring_preload": {}, "flow_force": {}},
+    laws={"force": _centring},
+    corrects={"spring_preload": {}, "flow_force": {}},
 )  # fmt: skip
 
 
@@ -208,8 +209,9 @@ _STOPS = (0.25, 0.5, 1.0, 2.0)
 (_LOOP,) = MAGNETIC_HYSTERESIS.states
 
 STOP_FORM = correction(
-    "stop_form", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
-    (
+    name="stop_form", port="force",
+    summary="loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
+    parameters=(
         *(
             amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
             for n, s in enumerate(_STOPS, 1)
@@ -217,9 +219,9 @@ STOP_FORM = correction(
         repeated("amplitude", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
         repeated("width", "A", 0.03, 0.01, 0.2),
     ),
-    {"force": _stops_force},
-    {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
-    (
+    laws={"force": _stops_force},
+    corrects={"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
+    states=(
         State("as_before", _LOOP.rate, scale=0.1, given={"loop": "as_before"}),
         *(
             State(f"stop_{n}", _stop_rate, scale=0.1, given={"stop": f"stop_{n}", "times": times})
@@ -258,8 +260,9 @@ def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stri
 
 
 BRISTLE_FORM = correction(
-    "bristle_form", "force", "what friction the spool has more is held by a second bristle, which gives way late",
-    (
+    name="bristle_form", port="force",
+    summary="what friction the spool has more is held by a second bristle, which gives way late",
+    parameters=(
         amount("damping", "1", 1.0, "damping of the second bristle over the first one's", 0.0),
         fitted("firm", "1", 0.5, 0.0, 0.95, "share of its limit from which on the second bristle gives way", 0.5),
         fitted("stiffness", "1", 1.0, 0.2, 5.0, "stiffness of the second bristle over the first one's", 1.0, log=True),
@@ -269,13 +272,13 @@ BRISTLE_FORM = correction(
         taken("coulomb_taken", -2.0, 0.3),
         taken("static_taken", -3.0, 0.6),
     ),
-    {"force": _second_bristle},
-    {
+    laws={"force": _second_bristle},
+    corrects={
         "spool_stiction": {
             "coulomb": "coulomb", "static": "static", "coulomb_taken": "-coulomb", "static_taken": "-static",
         }
     },
-    (State("bristle_2", _bristle_rate, scale=2e-6),),
+    states=(State("bristle_2", _bristle_rate, scale=2e-6),),
     adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
 )  # fmt: skip
 
