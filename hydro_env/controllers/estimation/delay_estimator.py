@@ -3,31 +3,30 @@ and two periods ago. A spool that sticks looks late too, but not both spools at 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from hydro_env.controllers.base import Bools, Floats
-from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND
 from hydro_env.jit import compiled
 
 MAX_DELAY = 2
 """Longest delay that is recognised, periods."""
 
 
-@dataclass(frozen=True)
-class DelaySettings:
+class DelaySettings(NamedTuple):
     """When a delay is accepted. A planner needs more certainty than a filter does."""
 
-    certain: float = setting(20.0, "1", "by how much the squares of both valves' misses have to differ", HAND)
-    each: float = setting(3.0, "1", "and those of each valve", HAND)
-    most: float = setting(9.0, "1", "most that one sample counts: a spool that sticks once is no delay", HAND)
-    model: float = setting(0.02, "1", "error of the modelled spool in a period, standard deviation", HAND)
-    loose: float = setting(0.15, "1", "and what share of its way it may have wrong", HAND)
-
-
-DelayNumbers: Any = numbers_of(DelaySettings)
+    certain: Annotated[float, "1", "by how much the squares of both valves' misses have to differ", HAND] = (
+        20.0
+    )
+    each: Annotated[float, "1", "and those of each valve", HAND] = 3.0
+    most: Annotated[float, "1", "most that one sample counts: a spool that sticks once is no delay", HAND] = (
+        9.0
+    )
+    model: Annotated[float, "1", "error of the modelled spool in a period, standard deviation", HAND] = 0.02
+    loose: Annotated[float, "1", "and what share of its way it may have wrong", HAND] = 0.15
 
 
 class DelayEstimator:
@@ -35,7 +34,7 @@ class DelayEstimator:
 
     def __init__(self, settings: DelaySettings, position: Floats, flow: Floats) -> None:
         """Spools and flows (num_rigs, 2) as they are now."""
-        self._numbers = numbers(DelayNumbers, settings)
+        self._settings = settings
         self.periods = np.zeros(len(position), int)
         self._position, self._flow = np.stack([position] * (MAX_DELAY + 2)), flow
         self._misses = np.zeros((MAX_DELAY + 1, *position.shape))
@@ -47,7 +46,7 @@ class DelayEstimator:
         self._position = np.concatenate([position[None], self._position[:-1]])
         change = np.empty(len(self.periods), bool)
         _compare(
-            self._numbers, self._position, self._flow, flow, gain, flowing, noise, self._misses, self.periods, change,
+            self._settings, self._position, self._flow, flow, gain, flowing, noise, self._misses, self.periods, change,
         )  # fmt: skip
         self._flow = flow
         return change

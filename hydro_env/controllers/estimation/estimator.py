@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +21,14 @@ LEAKAGE_TORQUE = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
 """Torque of the rated flow through the nominal leakage, N m."""
 
 
-@dataclass(frozen=True)
-class EstimatorSettings:
+class EstimatorSettings(NamedTuple):
     """Settings of the parts."""
 
-    spool: SpoolSettings = field(default_factory=SpoolSettings)
-    valves: ValveSettings = field(default_factory=ValveSettings)
-    motors: MotorFilterSettings = field(default_factory=MotorFilterSettings)
-    sensors: SensorSettings = field(default_factory=SensorSettings)
-    delay: DelaySettings = field(default_factory=DelaySettings)
+    spool: SpoolSettings = SpoolSettings()
+    valves: ValveSettings = ValveSettings()
+    motors: MotorFilterSettings = MotorFilterSettings()
+    sensors: SensorSettings = SensorSettings()
+    delay: DelaySettings = DelaySettings()
 
 
 class Estimator:

@@ -3,24 +3,22 @@ other, while the reference coasts as a motor without flow does."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.valve_estimator import ValveState
-from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.controllers.settings import TUNED
 from hydro_env.jit import compiled
 
 
-@dataclass(frozen=True)
-class CrossingSettings:
+class CrossingSettings(NamedTuple):
     """When an edge is searched during a crossing, and how fast."""
 
-    search: float = setting(9.3, "1/s", "pace of the spools, rated commands a second", TUNED)
-    known: float = setting(0.0235, "1", "standard deviation of an edge that is not looked for", TUNED)
+    search: Annotated[float, "1/s", "pace of the spools, rated commands a second", TUNED] = 9.3
+    known: Annotated[float, "1", "standard deviation of an edge that is not looked for", TUNED] = 0.0235
 
 
 class CrossingState(NamedTuple):

@@ -7,8 +7,7 @@ recognised, so that it can be answered without delay.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.controllers.settings import TUNED
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -29,19 +28,18 @@ SLOW = 20.0 * RPM
 """Speed below which there is no saying which way a spool stops short, rad/s; set by hand."""
 
 
-@dataclass(frozen=True)
-class FeedbackSettings:
+class FeedbackSettings(NamedTuple):
     """Gains on the errors, delays, and what counts as a sudden load."""
 
-    track: float = setting(11.0, "1/s", "acceleration per error to the reference", TUNED)
-    couple: float = setting(47.0, "1/s", "acceleration per half of the speed difference", TUNED)
-    settle: float = setting(
-        0.0, "1/s", "pace at which flow takes out what lasts of that error", "the gain above does"
-    )
-    delay: float = setting(0.016, "s", "from a flow asked for to the speed it gives", TUNED)
-    lead: float = setting(0.66, "10 ms", "how far ahead the speed difference is predicted", TUNED)
-    late: float = setting(0.8, "1", "a delay of n periods divides the gains by 1 + late n", TUNED)
-    jump: float = setting(0.15, "N m", "half of the difference of two misses that is a sudden load", TUNED)
+    track: Annotated[float, "1/s", "acceleration per error to the reference", TUNED] = 11.0
+    couple: Annotated[float, "1/s", "acceleration per half of the speed difference", TUNED] = 47.0
+    settle: Annotated[
+        float, "1/s", "pace at which flow takes out what lasts of that error", "the gain above does"
+    ] = 0.0
+    delay: Annotated[float, "s", "from a flow asked for to the speed it gives", TUNED] = 0.016
+    lead: Annotated[float, "10 ms", "how far ahead the speed difference is predicted", TUNED] = 0.66
+    late: Annotated[float, "1", "a delay of n periods divides the gains by 1 + late n", TUNED] = 0.8
+    jump: Annotated[float, "N m", "half of the difference of two misses that is a sudden load", TUNED] = 0.15
 
 
 class FeedbackNumbers(NamedTuple):

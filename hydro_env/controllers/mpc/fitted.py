@@ -85,7 +85,7 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     swings = NOMINAL["D"] / sqrt(NOMINAL["J"] * oil)  # rates in 1/s: of the motor against the oil,
     answer = SHARES["damp"] / late * max(cos(min(swings * late, pi)), 0.0)  # of the pressure by its feedback,
     settles = answer + motor.leakage * NOMINAL["Km"] / oil  # and with the leakage
-    motor = replace(motor, damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
+    motor = motor._replace(damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
     most = _max_feedback(settles, swings, late)
     push = SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"]
     return FlowSettings(

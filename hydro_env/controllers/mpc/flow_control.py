@@ -18,6 +18,7 @@ from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import FromTheBench
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
+from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.plant import PlantModel, Scales
 
 SURE = 0.015, 0.06
@@ -76,19 +77,19 @@ class ProbingFlow(Controller):
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
         if self._model is not None:
             own = settings_of(self._model, self.period)
-            s = replace(own, probing=replace(own.probing, active=s.probing.active))
+            s = own._replace(probing=own.probing._replace(active=s.probing.active))
             gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
         parts = {
-            part: replace(getattr(s, part), **{name: gains[name] for name in names if name in gains})
+            part: getattr(s, part)._replace(**{name: gains[name] for name in names if name in gains})
             for part, names in PARTS.items()
         }
-        law = FlowController(replace(s, **parts))
+        law = FlowController(s._replace(**parts))
         law.start(measured, self.period)
         return law
 
 
-NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))
+NO_PROBING = FlowSettings(probing=ProbingSettings(active=False))
 
 
 class AdaptiveFlow(ProbingFlow):
@@ -96,7 +97,7 @@ class AdaptiveFlow(ProbingFlow):
 
     # chosen on 60 pairs of `train` by the cost that gains are tuned for
     GAINS = (replace(RATE, default=30.0), replace(RISE, default=20.0), FALL, SEARCH)
-    settings = replace(NO_PROBING, planner=None)
+    settings = NO_PROBING._replace(planner=None)
 
 
 class BenchFlow(FromTheBench, ProbingFlow):

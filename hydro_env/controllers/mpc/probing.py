@@ -9,7 +9,7 @@ has found it goes back within a period, so that little flows on the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hydro_env.controllers.base import Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
 from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
-from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.controllers.settings import TUNED
 from hydro_env.units import RPM
 
 AT_REST = 5.0 * RPM
@@ -30,22 +30,21 @@ SETTLE = 2
 """Samples for the spools to come home."""
 
 
-@dataclass(frozen=True)
-class ProbingSettings:
+class ProbingSettings(NamedTuple):
     """How valves are probed at rest."""
 
-    active: bool = setting(True, "", "whether they are; a shaft that must not move at rest forbids it")
-    led: bool = setting(True, "", "whether sweeps follow the spool model, which has to fit the valves")
-    sweep: float = setting(2.65, "1/s", "pace of the spools, rated commands a second", TUNED)
-    detect: float = setting(0.008, "1", "flow that ends a sweep", "four standard deviations of its noise")
-    hold: float = setting(0.0042, "1", "flow at which a led sweep stands still for a sample", TUNED)
-    again: float = setting(0.006, "1", "flow that then ends it", TUNED)
-    begin: float = setting(2.5, "periods", "how far a led sweep is to be after two periods", TUNED)
-    back: float = setting(1.4, "periods", "the same after it has turned", TUNED)
-    least: float = setting(0.04, "1", "distance behind its first edge a period after it", TUNED)
-    clear: float = setting(0.5, "1", "or this share of its way from rest, where that is more", TUNED)
-    home: float = setting(0.42, "1", "and at its second edge, as a share of the dead zone", TUNED)
-    patience: float = setting(250.0, "rpm", "smoothly moving set-point below which probing goes on", TUNED)
+    active: Annotated[bool, "", "whether they are; a shaft that must not move at rest forbids it"] = True
+    led: Annotated[bool, "", "whether sweeps follow the spool model, which has to fit the valves"] = True
+    sweep: Annotated[float, "1/s", "pace of the spools, rated commands a second", TUNED] = 2.65
+    detect: Annotated[float, "1", "flow that ends a sweep", "four standard deviations of its noise"] = 0.008
+    hold: Annotated[float, "1", "flow at which a led sweep stands still for a sample", TUNED] = 0.0042
+    again: Annotated[float, "1", "flow that then ends it", TUNED] = 0.006
+    begin: Annotated[float, "periods", "how far a led sweep is to be after two periods", TUNED] = 2.5
+    back: Annotated[float, "periods", "the same after it has turned", TUNED] = 1.4
+    least: Annotated[float, "1", "distance behind its first edge a period after it", TUNED] = 0.04
+    clear: Annotated[float, "1", "or this share of its way from rest, where that is more", TUNED] = 0.5
+    home: Annotated[float, "1", "and at its second edge, as a share of the dead zone", TUNED] = 0.42
+    patience: Annotated[float, "rpm", "smoothly moving set-point below which probing goes on", TUNED] = 250.0
 
 
 class Probing:
