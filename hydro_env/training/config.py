@@ -27,7 +27,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from hydro_env.controllers.learned.policy_interface import make_interface
+from hydro_env.controllers.learned.policy_interface import InterfaceTable
 from hydro_env.errors import InputError
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
@@ -50,7 +50,7 @@ class Training(FileTable):
 
     Attributes:
         algorithm: "ppo" or "sac".
-        interface: table of `hydro_env.controllers.learned.policy_interface.make_interface`; the plain observation if empty.
+        interface: between observations and the network; the plain observation if empty.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
@@ -63,7 +63,7 @@ class Training(FileTable):
     """
 
     algorithm: Literal["ppo", "sac"]
-    interface: dict[str, Any] = Field(default_factory=dict)
+    interface: InterfaceTable = InterfaceTable()
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     checkpoint_every: Count = 1_000_000
     evaluate_every: Count = 500_000
@@ -71,12 +71,6 @@ class Training(FileTable):
     evaluate_pairs: Count = 64
     tracking_weight: NotNegative = 0.5
     tail_weight: NotNegative = 0.0
-
-    @field_validator("interface")
-    @classmethod
-    def _is_one(cls, table: dict[str, Any]) -> dict[str, Any]:
-        make_interface(table)
-        return table
 
 
 # --- arguments of the algorithms --------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def test_the_training_files_are_valid(name):
         ("HydraulicSync-v0:", "Pendulum-v1:", "unknown key 'Pendulum-v1'"),
         ("algorithm: ppo", "algorithm: dqn", "algorithm is 'dqn'"),
         ("evaluate_pairs: 2", "evaluate_scenarios: [sin]", "unknown scenario 'sin': did you mean 'sine'?"),
-        ("kind: frames", "kind: eyes", "interface: kind 'eyes' is unknown"),
+        ("kind: frames", "kind: eyes", "interface.kind is 'eyes', should be 'frames'"),
         ("n_timesteps: 2048", "n_timesteps: 1e6", "n_timesteps is '1e6'"),
         (
             "learning_rate: lin_1e-3",

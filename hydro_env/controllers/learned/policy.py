@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import Floats, Policy, make_interface
-from hydro_env.errors import InputError, located, shown, suggestion
+from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
@@ -220,8 +220,7 @@ class NumpyPolicy(Policy):
         network, self.metadata = read_policy(path)
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
-        with located(f"{path}: interface"):
-            self.interface = make_interface(self.metadata.get("interface"))
+        self.interface = make_interface(self.metadata.get("interface"), f"{path}: interface")
         wanted = self.interface.num_features, self.interface.num_actions
         if (self.network.num_inputs, self.network.num_outputs) != wanted:
             raise InputError(
