@@ -322,16 +322,16 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """One control period for all rows, without autoreset, info and what `seen` does. ValueError as for `step`."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("reset every row of the environment before the first step")
-        wanted = _real(actions)
-        if wanted.shape != (self.num_envs, 2):
-            raise ValueError(f"actions have the shape {wanted.shape}, expected {(self.num_envs, 2)}")
+        wanted = checked_rows("actions are", actions, (self.num_envs, 2), finite=False)
         if self.increment is not None and np.isfinite(wanted).all():  # what is not is refused below
             wanted = self._rollout.state["fraction"] + self.increment * np.clip(wanted, -1.0, 1.0)
         result = self._rollout.step(wanted)
         self._remember(self._rollout.rows, result)
         if self._own_reward is not None:
             signals = {**self._signals(result[1], terms=True), "reward": result[2].copy()}
-            result[2][:] = checked_rows("reward", self._own_reward(signals), (self.num_envs,))
+            result[2][:] = checked_rows(
+                "reward: the function returned", self._own_reward(signals), (self.num_envs,)
+            )
         return result
 
     def seen(self, frames: NDArray[np.float32], true: Floats, finite: bool = True) -> NDArray[np.float32]:
@@ -341,7 +341,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._own_observation is None:
             return shown
         own = self._own_observation(shown, self._signals(true))
-        return checked_rows("observation", own, (self.num_envs, None), finite).astype(np.float32)
+        return checked_rows("observation: the function returned", own, (self.num_envs, None), finite).astype(
+            np.float32
+        )
 
     def _signals(self, true: Floats, terms: bool = False) -> Signals:
         """What functions of the user's are told of the rows; the terms of the reward where there has been a step."""
@@ -481,17 +483,6 @@ def row_of(info: dict[str, Any], row: int) -> dict[str, Any]:
         else:
             own[key] = value[row].copy() if value.ndim > 1 else value[row]
     return own
-
-
-def _real(actions: ArrayLike) -> Floats:
-    """Actions as float64. ValueError for what is no array of real numbers."""
-    try:
-        given = np.asarray(actions)
-    except ValueError:
-        raise ValueError("actions have rows of different lengths") from None
-    if given.dtype.kind not in "fiub":
-        raise ValueError(f"actions are {given.dtype}, expected real numbers")
-    return np.ascontiguousarray(given, np.float64)
 
 
 def _optional(limits: Limits, value: Any, name: str) -> Any:
