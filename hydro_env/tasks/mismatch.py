@@ -34,7 +34,7 @@ from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
 from ..streams import Component, Floats, Streams
 from ..units import with_unit
-from ..validation import FileTable, Number, checked, known
+from ..validation import FileTable, Number, checked, known, two_numbers
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
@@ -56,20 +56,6 @@ CASE_STRIDE = 389
 MAX_DRAWS = 10_000
 
 
-def _two(value: Any) -> tuple[float, float]:
-    """A number, or one for each of the two channels."""
-    try:
-        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-        if len(values) != 2 or any(isinstance(each, bool) for each in values):
-            raise ValueError
-        pair = (float(values[0]), float(values[1]))
-        if np.isnan(pair).any():
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
-    return pair
-
-
 _Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
@@ -82,7 +68,7 @@ class Range(FileTable):
     (`Scales`); a number is the value of the plant's own parameter, which is divided by it.
     """
 
-    fixed: Annotated[Any, AfterValidator(_two)] = None
+    fixed: Annotated[Any, AfterValidator(two_numbers)] = None
     uniform: _Ends | None = None
     loguniform: _Ends | None = None
     at_most: str | None = None
@@ -92,7 +78,7 @@ class Range(FileTable):
     @model_validator(mode="before")
     @classmethod
     def _numbers(cls, data: Any) -> Any:
-        return data if isinstance(data, Mapping | Range) else {"fixed": _two(data)}
+        return data if isinstance(data, Mapping | Range) else {"fixed": two_numbers(data)}
 
     @model_validator(mode="after")
     def _one_range(self) -> Range:

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
-from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
+from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, place_of
@@ -201,14 +201,11 @@ class _Trials:
         return genes[best], told
 
 
-class _Rest:
+class _Rest(Controller):
     """Commands of zero: what it costs to do nothing."""
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        self._zeros = np.zeros((num_rigs, 2))
-
-    def act(self, observation: Floats) -> Floats:
-        return self._zeros
+    def command(self, measured: Measurements) -> Floats:
+        return np.zeros_like(measured.speed)
 
 
 def _short(value: float) -> float:
