@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hydro_env.controllers.settings import HAND
+from hydro_env.controllers.base import HAND
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 

@@ -1,4 +1,11 @@
-"""What a controller is: gains with names and units, `reset`, `act` on observations, one row per rig."""
+"""What a controller is: gains with names and units, `reset`, `act` on observations, one row per rig.
+
+Numbers of its parts that are no gains are settings: small named tuples, which compiled code takes as well. Every field has a
+unit, a meaning and a reason for its value; a truth value has the unit "", and no reason where its meaning says it.
+
+    class ReferenceSettings(NamedTuple):
+        rate: Annotated[float, "1/s", "how fast the reference runs to the set-point", TUNED] = 42.0
+"""
 
 from __future__ import annotations
 
@@ -22,9 +29,14 @@ if TYPE_CHECKING:
     from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
-    "FRACTION_PER_V", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "Bools", "Controller", "Floats", "Gain", "Measurements",
-    "Rows",
+    "FRACTION_PER_V", "HAND", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "TUNED", "Bools", "Controller", "Floats", "Gain",
+    "Measurements", "Rows",
 ]  # fmt: skip
+
+TUNED = "tuned on `train`"
+"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/evidence/notes.md has the trials."""
+HAND = "set by hand"
+"""Chosen once, never searched for."""
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice

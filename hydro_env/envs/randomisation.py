@@ -54,11 +54,10 @@ class Randomisation:
         InputError for a wrong seed, and for a case that is asked for and not there; nothing is changed then.
         """
         n = self.episode.size
-        if seed is None or (isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes))):
-            given = [None] * n if seed is None else list(seed)
+        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes)):
+            given = list(seed)
         else:
-            first = SEED.check(seed, "reset: seed")
-            given = [first + i for i in range(n)]
+            given = [None if seed is None else SEED.check(seed, "reset: seed") + i for i in range(n)]
         if len(given) != n:
             raise InputError(f"reset: {len(given)} seeds for {n} environments")
         given = [None if each is None else SEED.check(each, "reset: a seed") for each in given]

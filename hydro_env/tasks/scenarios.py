@@ -83,21 +83,24 @@ class Scenario:
         """The profile on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
             seed = int(stream.integers(2**63))
-            setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
-            return Reference(setpoints[0], loads[0])
-        profile = self.profile(_grid(self.steps(period), period), stream)
-        setpoint, load = (np.asarray(each, dtype=float) for each in profile)
-        return Reference(setpoint * RPM * self.speed, load * self.torque)
+            return Reference(
+                *(each[0] for each in self.profiles(period, Streams(Component.SCENARIO, [seed], [0])))
+            )
+        return Reference(*self._profile(period, stream))
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
-            setpoint, load = self.profile(_grid(self.steps(period), period), streams)
-            return setpoint * RPM * self.speed, load * self.torque
-        rows = range(len(streams)) if self.random else ()
-        found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
-        return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
+            return self._profile(period, streams)
+        sources = [streams.generator(row) for row in range(len(streams))] if self.random else [None]
+        setpoints, loads = zip(*(self._profile(period, source) for source in sources), strict=True)
+        return np.stack(setpoints), np.stack(loads)
+
+    def _profile(self, period: float, source: Any) -> tuple[Floats, Floats]:
+        """What `profile` draws from a source, in SI and on this rig."""
+        setpoint, load = self.profile(_grid(self.steps(period), period), source)
+        return np.asarray(setpoint, float) * RPM * self.speed, np.asarray(load, float) * self.torque
 
 
 @lru_cache(maxsize=8)

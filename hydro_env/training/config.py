@@ -16,6 +16,7 @@ import ast
 import inspect
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,6 +30,7 @@ from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import InterfaceTable
 from hydro_env.errors import InputError
+from hydro_env.limits import Limits
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
@@ -39,6 +41,7 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
           "rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs",
           "action_noise", "optimize_memory_usage", "n_steps_td")  # fmt: skip
+START = Limits(0.0, 1e6)
 ACTIVATIONS = {"nn.Tanh": nn.Tanh, "nn.ReLU": nn.ReLU, "nn.ELU": nn.ELU}
 
 NotNegative = Annotated[Number, Field(ge=0.0)]
@@ -76,7 +79,7 @@ class Training(FileTable):
 # --- arguments of the algorithms --------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Falling:
-    """A schedule from `start` to zero."""
+    """A schedule from `start`, within `START`, to zero."""
 
     start: float
 
@@ -86,16 +89,9 @@ class Falling:
 
 def _schedule(value: Any) -> Any:
     """`lin_3e-4` as a schedule that falls linearly to zero."""
-    falls = isinstance(value, str) and value.startswith("lin_")
-    try:
-        start = float(value.removeprefix("lin_") if isinstance(value, str) else value)
-        if isinstance(value, bool) or not 0.0 <= start <= 1e6:
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise PydanticCustomError(
-            "schedule", "Input should be a number from 0 to 1e6, or lin_ and one, lin_1e-3"
-        ) from None
-    return Falling(start) if falls else start
+    text = str(value)
+    start = START.read(text.removeprefix("lin_"), "the number, or what stands behind lin_,")
+    return Falling(start) if text.startswith("lin_") else start
 
 
 def _finite(value: Any) -> Any:
@@ -110,27 +106,20 @@ def _finite(value: Any) -> Any:
 
 def _policy_kwargs(value: Any) -> dict[str, Any]:
     """A table, or RL-Zoo's `dict(net_arch=[64, 64], activation_fn=nn.Tanh)`, of which only plain values are read."""
-    if isinstance(value, dict):
-        given = dict(value)
-        if isinstance(given.get("activation_fn"), str):
-            given["activation_fn"] = _activation(given["activation_fn"])
-        return given
-    try:
-        parsed = _plain(ast.parse(str(value).strip(), mode="eval").body)
-    except InputError:
-        raise
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        parsed = None
-    if not isinstance(parsed, dict):
+    if not isinstance(value, dict):
+        with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+            value = _plain(ast.parse(str(value).strip(), mode="eval").body)
+    if not isinstance(value, dict):
         raise PydanticCustomError(
             "policy_kwargs", "Input should be dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
         )
-    return parsed
+    name = value.get("activation_fn")
+    return value | {"activation_fn": _activation(name)} if isinstance(name, str) else value
 
 
 def _plain(node: ast.expr) -> Any:
     if isinstance(node, ast.Attribute):
-        return _activation(ast.unparse(node))
+        return ast.unparse(node)
     if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
         return {str(each.arg): _plain(each.value) for each in node.keywords}
     return ast.literal_eval(node)

@@ -23,7 +23,6 @@ from hydro_env.controllers.tuning import tune
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.tuning.linearised import largest_sensitivity
 from hydro_env.controllers.tuning.search import Search, Task
-from hydro_env.controllers.tuning.start import starts
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
@@ -304,9 +303,9 @@ def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
 
 def test_a_search_begins_at_shipped_gains_and_where_the_linearised_plant_carries_them():
     """Once on the paper's plant, where both are the same; the stiff plant of `rig` takes a tenth of the gain."""
-    shipped, carried = starts("pid", "paper_dead_zone", 0.01)
+    shipped, carried = tune.starts("pid", "paper_dead_zone", 0.01)
     assert shipped["Kp"] == make_controller("pid_tuned").gains["Kp"] and carried == pytest.approx(shipped)
-    shipped, carried = starts("pid", "rig", 0.01)
+    shipped, carried = tune.starts("pid", "rig", 0.01)
     assert carried["Kp"] < 0.2 * shipped["Kp"] and carried["Ti"] < 0.2 * shipped["Ti"]
     assert carried["shape"] == shipped["shape"]
 
@@ -534,7 +533,7 @@ def test_linear_tuning_comes_near_table_iii(tmp_path):
         assert found.gains["Ti"][channel] == pytest.approx(TABLE_III["Ti"][channel], rel=0.20)
     assert "valve 2: Kp 0.02405 V/rpm (0.023) +5 %" in linear.summary(found)
     assert make_controller(str(tmp_path / "gains.json")).gains["Kp"].shape == (2,)
-    with pytest.raises(InputError, match="--max-sensitivity is .*, expected a number from"):
+    with pytest.raises(InputError, match=r"--max-sensitivity is .*, expected a number from"):
         linear.run(tmp_path, max_sensitivity=0.5)
 
 

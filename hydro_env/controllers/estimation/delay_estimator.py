@@ -7,8 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
-from hydro_env.controllers.settings import HAND
+from hydro_env.controllers.base import HAND, Bools, Floats
 from hydro_env.jit import compiled
 
 MAX_DELAY = 2

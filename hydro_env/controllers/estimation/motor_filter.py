@@ -13,9 +13,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import HAND, TUNED, Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
-from hydro_env.controllers.settings import HAND, TUNED
 from hydro_env.jit import compiled
 
 INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))

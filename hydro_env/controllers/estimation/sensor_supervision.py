@@ -11,9 +11,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import HAND, Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
-from hydro_env.controllers.settings import HAND
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 from hydro_env.units import RPM

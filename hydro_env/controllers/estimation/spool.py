@@ -12,9 +12,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import TUNED, Floats
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
-from hydro_env.controllers.settings import TUNED
 from hydro_env.jit import compiled
 
 

@@ -16,10 +16,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import HAND, TUNED, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING
 from hydro_env.controllers.estimation.spool import SpoolModel
-from hydro_env.controllers.settings import HAND, TUNED
 from hydro_env.jit import compiled
 
 

@@ -7,10 +7,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import TUNED, Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.valve_estimator import ValveState
-from hydro_env.controllers.settings import TUNED
 from hydro_env.jit import compiled
 
 

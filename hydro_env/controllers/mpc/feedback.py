@@ -12,13 +12,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import TUNED, Bools, Floats
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import TUNED
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 

@@ -61,9 +61,6 @@ class ProbingFlow(Controller):
     def units_for(self, model: PlantModel) -> Scales:
         return units_of(model)
 
-    def start(self, measured: Measurements) -> None:
-        self.law = self._begun(measured)
-
     def take_in(self, measured: Measurements) -> None:
         if self.allowed != Controller.allowed:  # what was sent is not what the law asked for
             self.law.sent = measured.command
@@ -72,8 +69,7 @@ class ProbingFlow(Controller):
     def command(self, measured: Measurements) -> Floats:
         return self.law.command()
 
-    def _begun(self, measured: Measurements) -> FlowController:
-        """The law with these gains, after the first measurements."""
+    def start(self, measured: Measurements) -> None:
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
         if self._model is not None:
             own = settings_of(self._model, self.period)
@@ -84,9 +80,8 @@ class ProbingFlow(Controller):
             part: getattr(s, part)._replace(**{name: gains[name] for name in names if name in gains})
             for part, names in PARTS.items()
         }
-        law = FlowController(s._replace(**parts))
-        law.start(measured, self.period)
-        return law
+        self.law = FlowController(s._replace(**parts))
+        self.law.start(measured, self.period)
 
 
 NO_PROBING = FlowSettings(probing=ProbingSettings(active=False))
@@ -106,7 +101,6 @@ class BenchFlow(FromTheBench, ProbingFlow):
     GAINS = (RATE, RISE, FALL)
     settings = NO_PROBING
 
-    def _begun(self, measured: Measurements) -> FlowController:
-        law = super()._begun(measured)
-        law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
-        return law
+    def start(self, measured: Measurements) -> None:
+        super().start(measured)
+        self.law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)

@@ -19,11 +19,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED, Bools, Floats
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
-from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import HAND, TUNED
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -273,6 +271,29 @@ def _of_commands(plan, c, sent, moves, swing, m, work):
             last = (HORIZON - n) * m.steps - 1
             y = m.travel[last] - (1.0 if n == HORIZON - 1 else 0.0)
             square[at, c * HORIZON + n] += swing * (x * y + v * m.swing[last])
+
+
+@compiled
+def solve_positive_definite(matrix, x, n):
+    """Replaces x (n,), the right-hand side, by the solution, and the lower triangle of the matrix (n, n), which alone is read, by
+    its Cholesky factor. A pivot of 1e-12 takes the place of one that is not positive. (Numba's own solver needs a BLAS, which an
+    exported controller does not have.)"""
+    for p in range(n):
+        for q in range(p + 1):
+            rest = matrix[p, q]
+            for k in range(q):
+                rest -= matrix[p, k] * matrix[q, k]
+            matrix[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / matrix[q, q]
+    for p in range(n):
+        rest = x[p]
+        for k in range(p):
+            rest -= matrix[p, k] * x[k]
+        x[p] = rest / matrix[p, p]
+    for p in range(n - 1, -1, -1):
+        rest = x[p]
+        for k in range(p + 1, n):
+            rest -= matrix[k, p] * x[k]
+        x[p] = rest / matrix[p, p]
 
 
 @compiled

@@ -13,11 +13,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import TUNED, Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
 from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
-from hydro_env.controllers.settings import TUNED
 from hydro_env.units import RPM
 
 AT_REST = 5.0 * RPM

@@ -7,11 +7,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED, Bools, Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.estimation.valve_estimator import ValveState
-from hydro_env.controllers.settings import HAND, TUNED
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 

@@ -9,7 +9,7 @@ tracking error beyond the mark from which the benchmark calls a controller idle 
 mean over pairs and scenarios.
 
 Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
-candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.start`). The
+candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.tune`). The
 best of the last one are compared on other pairs, since gains that suit the few pairs of a search best do not suit all.
 Only the split `train` may be used, or the plant's own pair.
 """
