@@ -16,7 +16,7 @@ from gymnasium import Wrapper, spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .envs.batch import HydraulicSyncVectorEnv, row_of
+from .envs.batch import HydraulicSyncVectorEnv, one_of, row_of
 from .errors import suggestion, to_install
 
 try:
@@ -41,8 +41,7 @@ class HydraulicSyncVecEnv(VecEnv):
     """
 
     def __init__(self, num_envs: int, *, info: str = "end", **kwargs: Any) -> None:
-        if info not in ("end", "all"):
-            raise ValueError(f"info is {info!r}, expected 'end' or 'all'")
+        one_of("info", info, ("end", "all"))
         self.batch = HydraulicSyncVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         self.info = info
         self._actions: NDArray[Any] | None = None

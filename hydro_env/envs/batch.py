@@ -100,13 +100,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.increment = _optional(INCREMENT, increment, "increment")
         self.max_episode_steps = _optional(EPISODE, max_episode_steps, "max_episode_steps")
         self.threads = THREADS.check(threads, "threads")
-        _one_of("errors", errors, (False, True))
-        _one_of("privileged", privileged, (False, True))
+        one_of("errors", errors, (False, True))
+        one_of("privileged", privileged, (False, True))
         if not (observation is None or callable(observation)):
             raise InputError(f"observation is {shown(observation)}, expected None or a function")
-        _one_of("dtype", dtype, ("float64", "float32"))
-        _one_of("render_mode", render_mode, (None, "rgb_array"))
-        _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
+        one_of("dtype", dtype, ("float64", "float32"))
+        one_of("render_mode", render_mode, (None, "rgb_array"))
+        one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
@@ -499,7 +499,7 @@ def _tolerance(plant: Any, model: PlantModel, given_rpm: float | None) -> float 
     return plant.tolerance if isinstance(plant, Plant) else None
 
 
-def _one_of(name: str, value: object, right: tuple[object, ...]) -> None:
+def one_of(name: str, value: object, right: tuple[object, ...]) -> None:
     """InputError for an argument that is none of these."""
     if not any(type(value) is type(one) and value == one for one in right):
         raise InputError(f"{name} is {shown(value)}, expected one of {', '.join(map(repr, right))}")

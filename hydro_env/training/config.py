@@ -19,10 +19,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import AfterValidator, Field, create_model, field_validator
+from pydantic import AfterValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -35,7 +35,8 @@ from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
 
-ENV_ID, POLICY = "HydraulicSync-v0", "MlpPolicy"
+ENV_ID: Final = "HydraulicSync-v0"
+POLICY: Final = "MlpPolicy"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 # Arguments of the algorithms that are set elsewhere or have no place in a file.
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
@@ -151,18 +152,11 @@ class _Environment(FileTable):
 
     n_envs: Count = 1
     n_timesteps: Count
-    policy: str = POLICY
+    policy: Literal["MlpPolicy"] = POLICY  # others cannot be exported
     env_kwargs: dict[str, Any] = Field(default_factory=dict)
     policy_kwargs: Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)] = Field(
         default_factory=dict
     )
-
-    @field_validator("policy")
-    @classmethod
-    def _can_be_exported(cls, policy: str) -> str:
-        if policy != POLICY:
-            raise ValueError(f"{policy!r} cannot be exported; only {POLICY!r} can")
-        return policy
 
 
 def _with_arguments(algorithm: str) -> type[_Environment]:

@@ -63,7 +63,7 @@ def test_the_training_files_are_valid(name):
         ("learning_rate: lin_1e-3", "learning_rate: fast", "learning_rate: the number, or"),
         ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
         ("nn.Tanh", "nn.Softmax", "activation_fn nn.Softmax is unknown"),
-        ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
+        ("MlpPolicy", "CnnPolicy", "policy is 'CnnPolicy', should be 'MlpPolicy'"),
         ("training:", "training: [", "not YAML"),
         ("plant: paper_dead_zone", "plat: paper", "env_kwargs"),
         ("batch_size: 128", "batch_size: .nan", "batch_size is nan, should be"),

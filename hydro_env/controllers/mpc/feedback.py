@@ -42,12 +42,9 @@ class FeedbackSettings(NamedTuple):
 
 
 class FeedbackNumbers(NamedTuple):
-    """The same for a motor and a control period."""
+    """What follows from them for a motor and a control period."""
 
-    track: float
-    couple: float
     settle: float
-    late: float
     jump: float
     gain: float  # what a longer period leaves of the gains
     mode: bool
@@ -93,9 +90,9 @@ class Feedback:
         whole = int(settings.delay / period)
         self.remembered = whole + 2 + MAX_DELAY
         """References that the error looks back on."""
-        self._channel = channel
+        self._settings, self._channel = settings, channel
         self._numbers = FeedbackNumbers(
-            settings.track, settings.couple, settings.settle * period, settings.late,
+            settle=settings.settle * period,
             # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
             jump=settings.jump * max(1.0, TUNED_PERIOD / period), gain=min(1.0, TUNED_PERIOD / period),
             mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
@@ -127,7 +124,18 @@ class Feedback:
         self._wanted = np.concatenate([wanted[None], self._wanted[:-1]])
         f, speed = self.state, np.ascontiguousarray(speed)
         _sudden(self._numbers, motors.miss, noise, probing, f)
-        _ask(self._numbers, self._channel, speed, motors, delay, self._wanted, self._before, reference, f)
+        _ask(
+            self._settings,
+            self._numbers,
+            self._channel,
+            speed,
+            motors,
+            delay,
+            self._wanted,
+            self._before,
+            reference,
+            f,
+        )
         self._before[:] = reference.acceleration
 
 
@@ -141,7 +149,7 @@ def _sudden(s, miss, noise, probing, f):
 
 
 @compiled
-def _ask(s, m, speed, motors, delay, wanted, before, r, f):
+def _ask(w, s, m, speed, motors, delay, wanted, before, r, f):
     ahead, torque, pressure = np.empty(2), motors.torque, motors.pressure
     for i in range(delay.size):
         for c in range(2):
@@ -149,13 +157,13 @@ def _ask(s, m, speed, motors, delay, wanted, before, r, f):
         mean = (speed[i, 0] + speed[i, 1]) / 2.0
         at = s.whole + delay[i]  # the reference `delay` ago
         f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - mean
-        gain = s.gain / (1.0 + s.late * delay[i])
+        gain = s.gain / (1.0 + w.late * delay[i])
         way = r.speed[i] / (abs(r.speed[i]) + SLOW)
-        f.short[i] += s.settle / (1.0 + s.late * delay[i]) * way * f.behind[i]
+        f.short[i] += s.settle / (1.0 + w.late * delay[i]) * way * f.behind[i]
         held = r.speed[i] + way * f.short[i]
         for c in range(2):
             f.apart[i, c] = 0.5 * (ahead[c] - ahead[1 - c])
-            faster = r.acceleration[i] + gain * (s.track * f.behind[i] - s.couple * f.apart[i, c])
+            faster = r.acceleration[i] + gain * (w.track * f.behind[i] - w.couple * f.apart[i, c])
             f.flow[i, c] = (
                 m.per_speed * held + m.per_acceleration * faster + m.per_torque * torque[i, c]
             ) + (s.swell * (r.acceleration[i] - before[i]) - s.damp * pressure[i, c])

@@ -16,9 +16,9 @@ from typing import ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import FromTheBench
+from hydro_env.controllers.mpc.edge_search import ProbingSettings
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.plant import PlantModel, Scales
 
 SURE = 0.015, 0.06

@@ -25,10 +25,9 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD, Motor
 from hydro_env.controllers.input_shaping import InputShaper
-from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
+from hydro_env.controllers.mpc.edge_search import Crossing, CrossingSettings, Probing, ProbingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
-from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings, capacity
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled

@@ -62,9 +62,7 @@ class GainsFile(FileTable):
     periods: dict[Annotated[str, AfterValidator(_period)], OtherPeriod] = Field(default_factory=dict)
 
     def by_period(self) -> dict[float, dict[str, Any]]:
-        """Gains by control period in s; empty where there is but one set."""
-        if not self.periods:
-            return {}
+        """Gains by control period in s."""
         own = {float(self.tuning.get("control_period_s", 0.01)): self.gains}
         return own | {float(period): dict(entry.gains) for period, entry in self.periods.items()}
 

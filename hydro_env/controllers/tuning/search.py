@@ -172,7 +172,7 @@ class _Trials:
             costs = tracking + task.weight * (peak + RMS * rms) + wear * variation + (IDLING - 1.0) * beyond
             total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
             if bar is not None:
-                bar.update(len(done.returns))
+                bar.update(len(done.trace.returns))
         return total
 
     def final(
@@ -241,7 +241,6 @@ def _users_errors() -> Iterator[None]:
 def _checked(wanted: Search) -> Search:
     """The search with the names of its scenarios."""
     task = wanted.task
-    law_of(task.law)
     if task.mismatch not in ("train", None):
         raise InputError(
             f"mismatch {task.mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"

@@ -88,7 +88,7 @@ def _shipped(name: str, period: float) -> dict[str, float]:
     files = [entry.file for entry in CONTROLLERS.values() if entry.file and entry.file.suffix == ".json"]
     for found in map(read_gains, files):
         if found.controller == name:
-            sets = found.by_period() or {period: found.gains}
+            sets = found.by_period()
             return dict(sets[min(sets, key=lambda known: abs(log(known / period)))])
     return {}
 
