@@ -116,7 +116,7 @@ class HydraulicSyncVecEnv(VecEnv):
         them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
             raise ValueError(
-                "all rows have their attributes in common: set them for all, or pass options to reset"
+                "rows have their attributes in common: set them for all, or pass options to reset"
             )
         if not hasattr(self.batch, attr_name):
             known = [name for name in vars(self.batch) if not name.startswith("_")]

@@ -132,7 +132,6 @@ class Controller:
         self.period = 0.0
         self.guard = InputGuard(0, 1.0)
         self._started = False
-        self._num_rigs = 0
 
     def for_periods(self, sets: Mapping[float, Mapping[str, Any]]) -> None:
         """Gains for control periods (s): `reset` takes those whose period is nearest in ratio to its own."""
@@ -179,18 +178,14 @@ class Controller:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. `control_period` in s."""
-        self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
-        self.guard = InputGuard(self._num_rigs, self.period)
+        self.period, self._started = float(control_period), False
+        self.guard = InputGuard(int(num_rigs), self.period)
         self.gains = self.converted(self.gains_given())
 
     @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         measured = decode(np.asarray(observation), self.rig).over(self.scales)
-        if measured.speed.shape != (self._num_rigs, 2):
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got {len(measured.speed)} observations"
-            )
         if not self._started:
             self.sent = np.clip(measured.command, -1.0, 1.0).astype(float)
             self.__shaper = InputShaper(SPOOL_RATE, self.period, self.sent)

@@ -156,13 +156,11 @@ def law_of(name: str) -> type[Controller]:
         return LAWS[name]
     if ":" not in name:
         raise InputError(
-            f"unknown control law {name!r}: {suggestion(name, LAWS)}; file.py:Class and module:Class will do too"
+            f"unknown control law {name!r}: {suggestion(name, LAWS)}; or file.py:Class, module:Class"
         )
     law = loaded(name)
     if not (isinstance(law, type) and issubclass(law, Controller) and law.GAINS):
-        raise InputError(
-            f"{name}: has no gains to tune: a subclass of Controller that lists them in GAINS is right"
-        )
+        raise InputError(f"{name}: has no gains to tune; expected a Controller that lists them in GAINS")
     return law
 
 
@@ -192,9 +190,7 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
 def _from_gains(path: Path, name: str, trust: bool = False) -> Controller:
     found = read_gains(path)
     if ":" in found.controller and not trust:
-        raise InputError(
-            f"{path}: are gains of {shown(found.controller)}, code that would be run; with --trust it is"
-        )
+        raise InputError(f"{path}: gains of {shown(found.controller)}, code that is run only with --trust")
     with located(path):
         law = law_of(_beside(path, found.controller))
         controller: Controller = _made(lambda: law(found.name or name, **found.gains), found.controller)

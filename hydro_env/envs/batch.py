@@ -206,16 +206,14 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise InputError("use_options: reset_mask is for reset alone; options hold for all rows")
         if lacking := self._lacking(read.get("mismatch")):
             raise InputError(
-                f"use_options: the plant lacks {', '.join(lacking)} so far: reset all rows with it once"
+                f"use_options: the plant lacks {', '.join(lacking)}: reset all rows with it once"
             )
         self._hold(np.arange(self.num_envs), read)
 
     def _read(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
         """Options of `reset` as they are used. InputError for what is none."""
         if not isinstance(options, Mapping | None):
-            raise InputError(
-                f"reset: options is {shown(options)}, expected a mapping of {', '.join(OPTIONS)}"
-            )
+            raise InputError(f"reset: options {shown(options)}, expected a mapping of {', '.join(OPTIONS)}")
         read = dict(options or {})
         check_known("reset: unknown option", read, OPTIONS)
         if "scenario" in read:
@@ -240,9 +238,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         except ValueError:
             raise InputError(f"reset: reset_mask is {shown(given)}, expected a mask of rows") from None
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise InputError(
-                f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen"
-            )
+            raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows, one at least chosen")
         return mask
 
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Floats, Mask, Mask, dict[str, Any]]:
@@ -370,9 +366,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         episodes = self._randomisation.next(rows, mismatch, seed, options.get("case"))
         lacking = self._lacking(mismatch)
         if lacking and rows.size < self.num_envs:
-            raise InputError(
-                "reset: this mismatch has effects the plant lacks so far: reset all rows with it"
-            )
+            raise InputError("reset: this mismatch has effects the plant lacks: reset all rows with it")
         if lacking:
             self._rollout.take(self._make_plant((*self.plant.effects, *lacking)))
         # Up to here something could be wrong with the options, and nothing has been changed; from here on not.

@@ -126,9 +126,7 @@ def _cases(
     try:
         cases = [int(asked) + i if np.ndim(asked) == 0 else int(asked[i]) for i in rows.tolist()]
     except (TypeError, ValueError, IndexError, OverflowError):
-        raise InputError(
-            f"reset: option case is {shown(asked)}, expected a number or one for each row"
-        ) from None
+        raise InputError(f"reset: option case is {shown(asked)}, expected a number, or one a row") from None
     if not all(0 <= each < mismatch.cases for each in cases):
         raise InputError(f"reset: option case: cases of {mismatch.name!r} are 0 ... {mismatch.cases - 1}")
     return cases

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
-from ..errors import InputError, InputWarning, check_known, shown, suggestion
+from ..errors import InputError, InputWarning, check_known, located, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
@@ -190,10 +190,8 @@ class Mismatch(FileTable):
         parts = {"": self.ranges} | {f"faults.{fault}: ": changed for fault, changed in self.faults.items()}
         for part, ranges in parts.items():
             for place, (name, each) in enumerate(ranges.items()):
-                try:
+                with located(f"{part}{name}"):
                     each.check(name, dict(list(ranges.items())[:place]))
-                except InputError as problem:
-                    raise ValueError(f"{part}{name}: {problem}") from None
         self._check_rig()
         inside = [(each, self.ranges[name]) for name, each in self._left.items()]
         if self.outside and all(r.low <= own.low and own.high <= r.high for r, own in inside):
@@ -202,9 +200,8 @@ class Mismatch(FileTable):
 
     def _check_rig(self) -> None:
         """ValueError for quantities of a rig that are unknown, lacking or not above zero."""
+        check_known("rig: unknown quantity", self.rig, (*QUANTITIES, PACE))
         for name, each in self.rig.items():
-            if name not in QUANTITIES and name != PACE:
-                raise ValueError(f"rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}")
             if min(each.low) <= 0.0:
                 raise ValueError(f"rig: {name} should be above zero")
         whole = self.rig.keys() - {PACE}
@@ -247,9 +244,7 @@ class Mismatch(FileTable):
         """
         count = len(seeds)
         if self.rig and scales_of(model) != PAPER:
-            raise InputError(
-                f"mismatch {self.name!r} draws whole rigs in the units of the paper's: take the plant paper_dead_zone"
-            )
+            raise InputError(f"mismatch {self.name!r} draws whole rigs: take the plant paper_dead_zone")
         if cases[0] >= 0:
             streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
         else:
@@ -263,7 +258,7 @@ class Mismatch(FileTable):
                 values[name][rows] = redrawn
         else:
             raise InputError(
-                f"mismatch {self.name!r}: of {MAX_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
+                f"mismatch {self.name!r}: none of {MAX_DRAWS} pairs drawn lies outside {self.outside!r}"
             )
         quantities = {name: values.pop(name) for name in self.rig}
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
@@ -359,7 +354,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
     shipped = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
         raise InputError(
-            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(shipped)}), a YAML file, a mapping or None"
+            f"mismatch is {shown(source)}, expected {', '.join(shipped)}, a YAML file or a mapping"
         )
     text, named = str(source), {**shipped, OWN: None}
     if text in named:

@@ -74,9 +74,7 @@ class Scenario:
         """Number of control periods in an episode. InputError if not even one fits."""
         steps = round(self.duration / period)
         if steps < 1:
-            raise InputError(
-                f"scenario {self.name!r}: {self.duration:g} s is shorter than the control period"
-            )
+            raise InputError(f"scenario {self.name!r}: {self.duration:g} s is less than the control period")
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
@@ -238,9 +236,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = P
         check_known("unknown scenario", [source], SCENARIOS)
         return SCENARIOS[source].on(scales)
     if not isinstance(source, Mapping):
-        raise InputError(
-            f"scenario is {shown(source)}, expected a name ({', '.join(SCENARIOS)}) or a mapping of step tables"
-        )
+        raise InputError(f"scenario is {shown(source)}, expected {', '.join(SCENARIOS)} or step tables")
     given = checked(_StepTables, source, "scenario")
     return _tables(given.name, "step tables", given.duration, given.setpoint_rpm, given.load_Nm)
 

@@ -79,7 +79,7 @@ def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgor
     except Exception as problem:  # whole, but of other versions: an old class may miss anything
         reason = " ".join(f"{type(problem).__name__}: {problem}".split())
         raise InputError(
-            f"{checkpoint}: cannot be resumed ({reason}); resume with the versions that wrote it, or {_AFRESH}"
+            f"{checkpoint}: of other versions ({reason}); resume with those, or {_AFRESH}"
         ) from None
     torch.set_rng_state(of_torch)
     np.random.set_state(of_numpy)  # noqa: NPY002

@@ -23,7 +23,6 @@ from typing import Annotated, Any, Final, Literal
 
 import yaml
 from pydantic import AfterValidator, Field, create_model
-from pydantic_core import PydanticCustomError
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
@@ -111,9 +110,7 @@ def _policy_kwargs(value: Any) -> dict[str, Any]:
         with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
             value = _plain(ast.parse(str(value).strip(), mode="eval").body)
     if not isinstance(value, dict):
-        raise PydanticCustomError(
-            "policy_kwargs", "Input should be dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
-        )
+        raise ValueError("expected dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like")
     name = value.get("activation_fn")
     return value | {"activation_fn": _activation(name)} if isinstance(name, str) else value
 

@@ -172,7 +172,7 @@ def test_controllers_that_need_to_know_the_rig_say_so():
 def test_wrong_number_of_observations():
     controller = make_controller("pid_paper")
     controller.reset(3, 0.01)
-    with pytest.raises(ValueError, match="reset for 3 rigs, got 2"):
+    with pytest.raises(ValueError, match=r"reset for 3 rigs, got observations \(2, 9\)"):
         controller.act(np.zeros((2, 9), np.float32))
 
 

@@ -155,7 +155,7 @@ def test_the_valves_are_known_before_the_first_step():
         ({"metadata": np.array("{}")}, "schema"),
         ({"metadata": None}, "no 'metadata'"),
         ({"metadata": np.array({"schema": SCHEMA}, dtype=object)}, "plain arrays"),
-        ({"w0": np.zeros((16, 11), np.float32)}, "its interface wants 9 and 2"),
+        ({"w0": np.zeros((16, 11), np.float32)}, r"its interface wants \(9, 2\)"),
         ({"activation": "sine"}, "activation 'sine' is unknown"),
         ({"interface": {"kind": "flow"}}, "interface: kind is 'flow', should be 'frames'"),
         ({"interface": {"kind": "frames", "frames": "many"}}, "frames is 'many'"),

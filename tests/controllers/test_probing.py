@@ -64,7 +64,7 @@ def test_wrong_settings_are_refused():
         make_controller("probing_flow:slew=9")
     controller = make_controller("probing_flow")
     controller.reset(2, 0.01)
-    with pytest.raises(ValueError, match="reset for 2 rigs, got 3"):
+    with pytest.raises(ValueError, match=r"reset for 2 rigs, got observations \(3, 9\)"):
         controller.act(np.zeros((3, 9), np.float32))
 
 

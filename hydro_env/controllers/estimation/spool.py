@@ -7,7 +7,7 @@ gain. Positions and commands are shares of the rated command, flows of the rated
 
 from __future__ import annotations
 
-from math import exp, inf
+from math import exp
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -56,20 +56,24 @@ def channel_of(settings: SpoolSettings, motor: Motor, period: float, horizon: in
     late = exp(-step / settings.coil)
     late_mean = (1.0 - late) * settings.coil / step
     decay = exp(-2.0 * settings.damping * rate * step)
+    travel, swing = [], []
+    position = speed = coil = 0.0
+    for n in range(horizon * steps):
+        command = 1.0 if n < steps else 0.0
+        position += 0.5 * step * speed
+        speed = decay * speed + step * rate * rate * (command + late_mean * (coil - command) - position)
+        position += 0.5 * step * speed
+        coil = command + late * (coil - command)
+        travel.append(position)
+        swing.append(speed / rate)
     grip = step * rate * rate * (settings.friction * STICTION)
     # the mean over a substep of a ramp from 0 to 1 that passes the pressure's lag
     lag = settings.pressure_lag
     fresh = 0.5 - lag / step * (1.0 - lag / step * (1.0 - exp(-step / lag)))
-    travel, swing = np.zeros((2, horizon * steps))
-    channel = Channel(
+    return Channel(
         period, steps, step, rate, decay, grip, late, late_mean, settings.stop, motor.per_speed, motor.per_torque,
-        motor.per_acceleration, fresh, travel, swing,
+        motor.per_acceleration, fresh, np.array(travel), np.array(swing),
     )  # fmt: skip
-    linear, spool = channel._replace(grip=0.0, stop=inf), (0.0, 0.0, 0.0)
-    for n in range(horizon * steps):
-        spool = substep(*spool, 1.0 if n < steps else 0.0, linear)
-        travel[n], swing[n] = spool[0], spool[1] / rate
-    return channel
 
 
 class SpoolModel:

@@ -151,7 +151,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     except Exception as problem:  # zip, deflate and npy each have their own errors for what is damaged
         reason = f"{type(problem).__name__}: {problem}"
         raise InputError(
-            f"{path}: is no policy file, it should be an npz of plain arrays (hydro_env.training.export); {reason}"
+            f"{path}: is no policy file, an npz of plain arrays (hydro_env.training.export); {reason}"
         ) from None
     if "metadata" not in arrays:
         raise InputError(f"{path}: has no 'metadata'; a policy file is written by hydro_env.training.export")
@@ -221,11 +221,11 @@ class NumpyPolicy(Policy):
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
         self.interface = make_interface(self.metadata.get("interface"), f"{path}: interface")
+        found = self.network.num_inputs, self.network.num_outputs
         wanted = self.interface.num_features, self.interface.num_actions
-        if (self.network.num_inputs, self.network.num_outputs) != wanted:
+        if found != wanted:
             raise InputError(
-                f"{path}: the network takes {self.network.num_inputs} inputs and gives {self.network.num_outputs} "
-                f"outputs, its interface wants {wanted[0]} and {wanted[1]}"
+                f"{path}: the network has {found} inputs and outputs, its interface wants {wanted}"
             )
         self.trained_period = _trained_period(self.metadata)
         self.reset(1, self.trained_period)

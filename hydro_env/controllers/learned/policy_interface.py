@@ -106,22 +106,17 @@ class Policy:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode; `control_period` in s."""
-        self._num_rigs, self._fresh = int(num_rigs), True
+        self._fresh = True
         self.memory: list[Floats] = []
         self._every = max(1, round((self.trained_period or control_period) / control_period))
-        self.guard = InputGuard(self._num_rigs, control_period)
+        self.guard = InputGuard(int(num_rigs), control_period)
 
     @guarded
     def act(self, observation: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
-        observation = np.asarray(observation)
-        if observation.ndim != 2 or len(observation) != self._num_rigs:
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
-            )
         if self._fresh:
             self._held = self.interface.command(self.outputs(self.interface.start(observation), True))
-            self._fresh, self._ago = False, np.zeros((self._num_rigs, 1), int)
+            self._fresh, self._ago = False, np.zeros((len(observation), 1), int)
             return self._held
         seen, memory = self.interface.seen, list(self.memory)
         command = self.interface.command(self.outputs(self.interface.see(observation), False))

@@ -39,7 +39,7 @@ class Sb3Policy(Policy):
         policy = _kind_of_policy(path)
         if not trust:
             raise InputError(
-                f"{path}: holds pickled objects, so that loading it runs code from the file; with --trust it is loaded"
+                f"{path}: holds pickled objects, which run code when they are loaded, only with --trust"
             )
         self._model = _algorithm(path, policy).load(path, device="cpu")
         observed, acted = self._model.observation_space.shape, self._model.action_space.shape

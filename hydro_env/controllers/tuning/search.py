@@ -243,13 +243,13 @@ def _checked(wanted: Search) -> Search:
     task = wanted.task
     if task.mismatch not in ("train", None):
         raise InputError(
-            f"mismatch {task.mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"
+            f"mismatch {task.mismatch!r}: gains are tuned on 'train' or 'own', never on other splits"
         )
     task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
     load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
     if wanted.cases < 1 or wanted.episodes < 3 * wanted.generation:
         raise InputError(
-            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation} (3 generations)"
+            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation}"
         )
     return replace(wanted, task=task)
 
