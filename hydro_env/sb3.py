@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium import Wrapper, spaces
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
@@ -115,9 +115,7 @@ class HydraulicSyncVecEnv(VecEnv):
         """Sets an attribute of the batch. AttributeError for one that it lacks, ValueError if not all rows are meant: they have
         them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
-            raise ValueError(
-                "rows have their attributes in common: set them for all, or pass options to reset"
-            )
+            raise ValueError("rows have attributes in common: set them for all, or pass options to reset")
         if not hasattr(self.batch, attr_name):
             known = [name for name in vars(self.batch) if not name.startswith("_")]
             raise AttributeError(f"the batch has no attribute {attr_name!r}: {suggestion(attr_name, known)}")
@@ -133,9 +131,7 @@ class HydraulicSyncVecEnv(VecEnv):
         answers = self.batch.call(method_name, *method_args, **method_kwargs)
         return [answers[row] for row in self._rows(indices)]
 
-    def env_is_wrapped(
-        self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """False for each row: nothing is wrapped."""
         return [False] * len(self._rows(indices))
 

@@ -55,8 +55,8 @@ class Entry:
     """Made for another plant than the leaderboard's; `all` leaves it out."""
 
 
-def _law(law: type[Controller], name: str, summary: str) -> Entry:
-    return Entry(name, summary, lambda: law(name))
+def _law(law: type[Controller], name: str, summary: str, **gains: Any) -> Entry:
+    return Entry(name, summary, lambda: law(name, **gains).carry() if gains else law(name))
 
 
 def _tuned(name: str, summary: str) -> Entry:
@@ -72,11 +72,7 @@ def _policy(name: str, summary: str, apart: bool = False) -> Entry:
 CONTROLLERS: dict[str, Entry] = {
     entry.name: entry
     for entry in (
-        Entry(
-            "pid_paper",
-            "the paper's PIDs, Table III",
-            lambda: PidController("pid_paper", **TABLE_III).carry(),
-        ),
+        _law(PidController, "pid_paper", "the paper's PIDs, Table III", **TABLE_III),
         _tuned("pid_tuned", "the same law, gains found by search"),
         _tuned("master_slave", "motor 2 follows motor 1"),
         _tuned("cross_coupled", "PI with a PI on the speed difference"),
@@ -223,6 +219,4 @@ def _made(make: Callable[[], Any], text: str) -> Any:
         raise
     except (Exception, SystemExit) as problem:
         place = f" ({place_of(problem)})" if place_of(problem) else ""
-        raise InputError(
-            f"{text}: could not be made: {type(problem).__name__}: {problem}{place}"
-        ) from problem
+        raise InputError(f"{text}: cannot be made: {type(problem).__name__}: {problem}{place}") from problem

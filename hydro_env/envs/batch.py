@@ -5,7 +5,8 @@ The single environment is a batch of one. Arrays have one row per rig.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -205,9 +206,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if "reset_mask" in read:
             raise InputError("use_options: reset_mask is for reset alone; options hold for all rows")
         if lacking := self._lacking(read.get("mismatch")):
-            raise InputError(
-                f"use_options: the plant lacks {', '.join(lacking)}: reset all rows with it once"
-            )
+            raise InputError(f"use_options: the plant lacks {', '.join(lacking)}: reset all rows with it")
         self._hold(np.arange(self.num_envs), read)
 
     def _read(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -216,13 +215,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise InputError(f"reset: options {shown(options)}, expected a mapping of {', '.join(OPTIONS)}")
         read = dict(options or {})
         check_known("reset: unknown option", read, OPTIONS)
-        if "scenario" in read:
-            read["scenario"] = load_scenario(read["scenario"], self.scales)
-        if "mismatch" in read:
-            read["mismatch"] = load_mismatch(read["mismatch"])
-        if "noise" in read:
-            read["noise"] = self._levels(read["noise"])
-        return read
+        scenarios = partial(load_scenario, scales=self.scales)
+        readers: dict[str, Callable[[Any], Any]] = {
+            "scenario": scenarios,
+            "mismatch": load_mismatch,
+            "noise": self._levels,
+        }
+        return {key: readers[key](value) if key in readers else value for key, value in read.items()}
 
     def _hold(self, rows: Rows, options: dict[str, Any]) -> None:
         """Notes the options with which the next episodes of these rows begin."""
@@ -245,9 +244,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """One control period with the actions (N, 2). ValueError if they are no finite real numbers or the shape is wrong."""
         mode, everyone, again = self.autoreset_mode, np.ones(self.num_envs, np.bool_), self._ended
         if mode is AutoresetMode.DISABLED and again.any():
-            raise gymnasium.error.ResetNeeded(
-                "an episode has ended: reset its row, options={'reset_mask': mask}"
-            )
+            raise gymnasium.error.ResetNeeded("an episode has ended: reset it, options={'reset_mask': mask}")
         waiting = mode is AutoresetMode.NEXT_STEP and again.any()
         result = self._rollout.outputs() if waiting and again.all() else self.step_rows(actions)
         observation, true, reward, terminated, truncated = result

@@ -257,9 +257,7 @@ class Mismatch(FileTable):
             for name, redrawn in self._draw(streams, rows).items():
                 values[name][rows] = redrawn
         else:
-            raise InputError(
-                f"mismatch {self.name!r}: none of {MAX_DRAWS} pairs drawn lies outside {self.outside!r}"
-            )
+            raise InputError(f"mismatch {self.name!r}: no pair of {MAX_DRAWS} lies outside {self.outside!r}")
         quantities = {name: values.pop(name) for name in self.rig}
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
         if len(self.rig) > 1:
@@ -353,9 +351,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return _read_own("mismatch", source, "mismatch")
     shipped = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
-        raise InputError(
-            f"mismatch is {shown(source)}, expected {', '.join(shipped)}, a YAML file or a mapping"
-        )
+        raise InputError(f"mismatch is {shown(source)}, expected {', '.join(shipped)}, a file or a mapping")
     text, named = str(source), {**shipped, OWN: None}
     if text in named:
         return named[text]

@@ -80,10 +80,8 @@ class Scenario:
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
         """The profile on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
-            seed = int(stream.integers(2**63))
-            return Reference(
-                *(each[0] for each in self.profiles(period, Streams(Component.SCENARIO, [seed], [0])))
-            )
+            streams = Streams(Component.SCENARIO, [int(stream.integers(2**63))], [0])
+            return Reference(*(each[0] for each in self.profiles(period, streams)))
         return Reference(*self._profile(period, stream))
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:

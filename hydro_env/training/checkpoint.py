@@ -78,9 +78,7 @@ def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgor
         progress = json.loads((checkpoint / "progress.json").read_text(encoding="utf-8"))
     except Exception as problem:  # whole, but of other versions: an old class may miss anything
         reason = " ".join(f"{type(problem).__name__}: {problem}".split())
-        raise InputError(
-            f"{checkpoint}: of other versions ({reason}); resume with those, or {_AFRESH}"
-        ) from None
+        raise InputError(f"{checkpoint}: of other versions ({reason}): use those or {_AFRESH}") from None
     torch.set_rng_state(of_torch)
     np.random.set_state(of_numpy)  # noqa: NPY002
     random.setstate(of_python)

@@ -24,9 +24,8 @@ def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     other noise, if that is `null`)."""
     kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
     mismatch = env_kwargs.get("mismatch", "train")
-    return kwargs | {
-        "mismatch": VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch
-    }
+    scored = VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch
+    return kwargs | {"mismatch": scored}
 
 
 def evaluate(

@@ -376,9 +376,9 @@ def test_a_submission_is_scored_by_one_command(submissions, capsys):
     ("name", "message"),
     [
         ("mine.py:NoReset", "no method 'reset'"),
-        ("mine.py:NeedsMore", "could not be made: TypeError"),
+        ("mine.py:NeedsMore", "cannot be made: TypeError"),
         ("mine.py:Godo", "did you mean 'Good'"),
-        ("mine.py", "mine.py:NeedsMore: could not be made"),
+        ("mine.py", "mine.py:NeedsMore: cannot be made"),
         ("yours.py:Good", "no such file"),
         ("pid_tund", "did you mean 'pid_tuned'"),
     ],

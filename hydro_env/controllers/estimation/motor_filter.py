@@ -27,9 +27,7 @@ class MotorFilterSettings(NamedTuple):
 
     together: Annotated[float, "N m", "random walk of the loads' mean in a period", TUNED] = 0.006
     apart: Annotated[float, "N m", "and of half their difference", TUNED] = 0.0005
-    changed: Annotated[float, "1", "share of a change of torque that its integral may have wrong", TUNED] = (
-        0.06
-    )
+    changed: Annotated[float, "1", "share of a change of torque that its integral may have wrong", TUNED] = 0.06  # fmt: skip
     unsampled: Annotated[float, "1", "share of the torque between samples that may be wrong", TUNED] = 0.5
     sudden: Annotated[float, "1", "a miss that shows a load's jump, standard deviations", HAND] = 4.0
     twice: Annotated[float, "1", "product of two misses in a row that does, variances", TUNED] = 8.0

@@ -26,9 +26,7 @@ class ValveSettings(NamedTuple):
     """Prior, random walks and noise of the estimate."""
 
     nearest: Annotated[float, "1", "most of an edge on the other side", "null offsets to 30 um"] = 0.04
-    farthest: Annotated[float, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um"] = (
-        0.26
-    )
+    farthest: Annotated[float, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um"] = 0.26  # fmt: skip
     gain: Annotated[float, "1", "mean flow gain of this type", "Kq 0.65 to 1 of the nominal one"] = 0.82
     gain_scatter: Annotated[float, "1", "its standard deviation", "the same range, and that of R"] = 0.12
     drift: Annotated[float, "1/sqrt(s)", "random walk of the edge, which friction shifts", TUNED] = 0.03
@@ -36,14 +34,10 @@ class ValveSettings(NamedTuple):
     still: Annotated[float, "1", "standard deviation of a resting spool's modelled position", TUNED] = 0.0165
     moving: Annotated[float, "1", "and per amplitude of its swing", TUNED] = 0.06
     first: Annotated[float, "1", "standard deviation of an edge at the first flow seen there", TUNED] = 0.0065
-    moved: Annotated[float, "1", "swing at which the walks have full pace: friction shifts edges", TUNED] = (
-        0.1
-    )
+    moved: Annotated[float, "1", "swing at which the walks have full pace: friction shifts edges", TUNED] = 0.1  # fmt: skip
     idle: Annotated[float, "1", "share of that pace at which they go on while the spool rests", TUNED] = 0.05
     unused: Annotated[float, "1/sqrt(s)", "random walk of the edge of the other direction", TUNED] = 0.02
-    stale: Annotated[float, "1", "standard deviation where forgetting that edge ends", "4 um of travel"] = (
-        0.02
-    )
+    stale: Annotated[float, "1", "standard deviation where forgetting that edge ends", "4 um of travel"] = 0.02  # fmt: skip
     before: Annotated[float, "1", "no flow is believed farther before an edge, or what passed", HAND] = inf
     noise: Annotated[float, "1", "standard deviation of the measured flow", "sensors, eq. (1)"] = FLOW_NOISE
 

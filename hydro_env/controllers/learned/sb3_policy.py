@@ -38,9 +38,7 @@ class Sb3Policy(Policy):
         changes = INCREMENT.check(increment, f"{path}: increment") if increment else 0.0
         policy = _kind_of_policy(path)
         if not trust:
-            raise InputError(
-                f"{path}: holds pickled objects, which run code when they are loaded, only with --trust"
-            )
+            raise InputError(f"{path}: is a pickle, which runs code when it is loaded; with --trust it is")
         self._model = _algorithm(path, policy).load(path, device="cpu")
         observed, acted = self._model.observation_space.shape, self._model.action_space.shape
         widths = [

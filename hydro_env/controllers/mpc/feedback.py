@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import TUNED, Bools, Floats
-from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
+from hydro_env.controllers.estimation.estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.spool import Channel

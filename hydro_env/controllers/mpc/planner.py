@@ -53,9 +53,7 @@ class PlannerSettings(NamedTuple):
     memory: Annotated[float, "1", "share of a new square in that mean", TUNED] = 0.1
     worst: Annotated[float, "1", "most that one square counts", TUNED] = 0.02
     heaviest: Annotated[float, "1", "largest factor on the moves' weight", TUNED] = 6.0
-    noisiest: Annotated[float, "1", "noise of a speed up to which commands are planned, of usual", TUNED] = (
-        4.0
-    )
+    noisiest: Annotated[float, "1", "noise of a speed up to which commands are planned, of usual", TUNED] = 4.0  # fmt: skip
 
 
 class Scene(NamedTuple):

@@ -27,9 +27,7 @@ class ReferenceSettings(NamedTuple):
     fall: Annotated[float, "1", "how many times as fast it may fall", TUNED] = 4.0
     doubt: Annotated[float, "1", "an unknown gain divides that rise by 1 + doubt", TUNED] = 5.5
     capacity: Annotated[float, "1", "share of the weaker valve's capacity that may be used", TUNED] = 0.94
-    most: Annotated[
-        float, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"
-    ] = inf
+    most: Annotated[float, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"] = inf  # fmt: skip
     foresight: Annotated[float, "1", "response times by which a smooth set-point is foreseen", HAND] = 1.0
 
 

@@ -242,15 +242,12 @@ def _checked(wanted: Search) -> Search:
     """The search with the names of its scenarios."""
     task = wanted.task
     if task.mismatch not in ("train", None):
-        raise InputError(
-            f"mismatch {task.mismatch!r}: gains are tuned on 'train' or 'own', never on other splits"
-        )
+        raise InputError(f"mismatch {task.mismatch!r}: tune on 'train' or 'own', never on other splits")
     task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
     load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
-    if wanted.cases < 1 or wanted.episodes < 3 * wanted.generation:
-        raise InputError(
-            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation}"
-        )
+    least = 3 * wanted.generation
+    if wanted.cases < 1 or wanted.episodes < least:
+        raise InputError(f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least}")
     return replace(wanted, task=task)
 
 
