@@ -97,13 +97,6 @@ class HydraulicSyncVecEnv(VecEnv):
         """Nothing has to be closed; may be called again."""
         self.batch.close()
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seeds row i with seed + i at the next reset; without a seed with one from the operating system."""
-        if seed is None:
-            seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self._seeds = [seed + row for row in range(self.num_envs)]
-        return self._seeds
-
     def _rows(self, indices: Indices) -> list[int]:
         return list(self._get_indices(indices))
 

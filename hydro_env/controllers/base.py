@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
-    "FRACTION_PER_V", "HAND", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "TUNED", "Bools", "Controller", "Floats", "Gain",
-    "Measurements", "Rows",
+    "FRACTION_PER_V", "HAND", "OUTPUT_SHAPING", "RPM", "TUNED", "Bools", "Controller", "Floats", "Gain", "Measurements", "Rows",
 ]  # fmt: skip
 
 TUNED = "tuned on `train`"
@@ -67,11 +66,10 @@ class Gain:
         return scales.factor(top) / scales.factor(bottom)
 
 
-SLEW = Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf)
-SHAPE = Gain(
-    "shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"
+OUTPUT_SHAPING = (
+    Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf),
+    Gain("shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"),
 )
-OUTPUT_SHAPING = (SLEW, SHAPE)
 """Gains of the output shaping that all controllers share: no limit and no filter if left out."""
 
 

@@ -234,8 +234,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             return np.ones(self.num_envs, np.bool_)
         try:
             mask = np.array(given)
-        except ValueError:
-            raise InputError(f"reset: reset_mask is {shown(given)}, expected a mask of rows") from None
+        except ValueError:  # rows of different lengths
+            mask = np.array(None)
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
             raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows, one at least chosen")
         return mask

@@ -294,9 +294,8 @@ class Mismatch(FileTable):
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
         in_turn = self.healthy is None and cases[0] >= 0
         chosen = cases if in_turn else (streams.random(1)[:, 0] * 2 * len(names)).astype(int)
-        sick = (
-            np.ones(len(cases), np.bool_) if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
-        )
+        every = np.full(len(cases), True)
+        sick = every if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
         shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
         for row, number in enumerate(chosen):

@@ -211,12 +211,8 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
         [[0.2, 400.0]], _share([(1.5, 1.0, 0.0), (3.5, 0.0, 1.0), (5.0, 0.0, 0.0)]),
     ),
     Scenario("disturbance", "400 rpm; from 1.5 s opposed loads that oscillate at 1.5 Hz", 5.0, _disturbance),
-    Scenario(
-        "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True
-    ),
-    Scenario(
-        "random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True
-    ),
+    Scenario("random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True),
+    Scenario("random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True),
     Scenario("random_drives", "random_profiles from rest, most without unequal loads", 6.0, _random_drives, True, True),
 )}  # fmt: skip
 """The scenarios by name."""

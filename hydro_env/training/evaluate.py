@@ -29,10 +29,7 @@ def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def evaluate(
-    policy: str | Path | Policy,
-    pairs: int,
-    env_kwargs: dict[str, Any],
-    scenario: str = "setpoint_steps",
+    policy: str | Path | Policy, pairs: int, env_kwargs: dict[str, Any], scenario: str = "setpoint_steps"
 ) -> dict[str, float]:
     """Interquartile means over the first `pairs` pairs of `scored_pairs` in a scenario, the 95th percentile of the largest
     speed difference, and the mean return with the environment's default weights. `policy`: a policy file, or what it holds."""

@@ -41,10 +41,7 @@ ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "relu": lambda x: np.maximum(x, 0.0),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
 }
-SQUASHES: dict[str, Callable[[Floats], Floats]] = {
-    "clip": lambda x: np.clip(x, -1.0, 1.0),
-    "tanh": np.tanh,
-}
+SQUASHES: dict[str, Callable[[Floats], Floats]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
 
 class Dense(NamedTuple):

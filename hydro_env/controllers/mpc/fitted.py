@@ -38,15 +38,8 @@ RINGS = 0.3
 """Damping ratio of a spool below which commands are averaged."""
 
 VALVES = ValveSettings(
-    before=0.03,
-    drift=0.0247,
-    gain_drift=0.0085,
-    still=0.016,
-    moving=0.346,
-    first=0.0056,
-    idle=1.0,
-    unused=0.0,
-)
+    before=0.03, drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0,
+)  # fmt: skip
 PROBING = ProbingSettings(led=False, detect=0.0047, patience=0.0)
 CROSSING = CrossingSettings(known=0.0135, search=3.0)
 """Estimation and probing of valves whose spools the model knows too roughly to lead them. Found by an evolution strategy on
