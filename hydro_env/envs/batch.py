@@ -334,9 +334,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._own_observation is None:
             return shown
         own = self._own_observation(shown, self._signals(true))
-        return checked_rows("observation: the function returned", own, (self.num_envs, None), finite).astype(
-            np.float32
-        )
+        rows = checked_rows("observation: the function returned", own, (self.num_envs, None), finite)
+        return rows.astype(np.float32)
 
     def _signals(self, true: Floats, terms: bool = False) -> Signals:
         """What functions of the user's are told of the rows; the terms of the reward where there has been a step."""

@@ -66,9 +66,8 @@ def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgor
     try:
         content = (checkpoint / "env.pkl").read_bytes()
         # Loading seeds the environment it is given, which must not touch the one that goes on: it gets another copy.
-        model = algorithm.load(
-            checkpoint / "model.zip", env=pickle.loads(content), device="cpu", force_reset=False
-        )
+        other = pickle.loads(content)
+        model = algorithm.load(checkpoint / "model.zip", env=other, device="cpu", force_reset=False)
         env: VecEnv = pickle.loads(content)
         model.set_env(env, force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):

@@ -158,10 +158,8 @@ class Estimator:
         self.prompt.move(self.sent[0], valves.edge, valves.gain)
         now = np.stack([self.prompt.position, self.prompt.speed])
         self._places = np.concatenate([now[None], self._places[:-1]])
-        noise = self.flow_noise
-        changed = self.delay.update(
-            self.prompt.shown, self._measured_flow(seen), valves.gain, FLOWING * noise, FLOW_NOISE * noise
-        )
+        noise = FLOWING * self.flow_noise, FLOW_NOISE * self.flow_noise
+        changed = self.delay.update(self.prompt.shown, self._measured_flow(seen), valves.gain, *noise)
         if changed.any():
             rows = np.flatnonzero(changed)
             late = self.delay.periods[rows]

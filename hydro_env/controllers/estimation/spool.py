@@ -97,9 +97,8 @@ class SpoolModel:
     def move(self, command: Floats, edge: Floats, gain: Floats) -> None:
         """One control period under held commands (num_rigs, 2), behind valves with these edges and gains."""
         held = np.ascontiguousarray(command, dtype=float)
-        follow(
-            self.position, self.speed, self.coil, self.ringing, self.unsampled, held, edge, gain, self.channel
-        )
+        state = self.position, self.speed, self.coil, self.ringing, self.unsampled
+        follow(*state, held, edge, gain, self.channel)
 
 
 @compiled
