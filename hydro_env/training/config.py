@@ -23,13 +23,13 @@ from typing import Annotated, Any, Final, Literal
 
 import yaml
 from pydantic import AfterValidator, Field, create_model
+from pydantic_core import PydanticCustomError
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import InterfaceTable
 from hydro_env.errors import InputError
-from hydro_env.limits import Limits
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
@@ -41,7 +41,6 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
           "rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs",
           "action_noise", "optimize_memory_usage", "n_steps_td")  # fmt: skip
-START = Limits(0.0, 1e6)
 ACTIVATIONS = {"nn.Tanh": nn.Tanh, "nn.ReLU": nn.ReLU, "nn.ELU": nn.ELU}
 
 NotNegative = Annotated[Number, Field(ge=0.0)]
@@ -79,7 +78,7 @@ class Training(FileTable):
 # --- arguments of the algorithms --------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Falling:
-    """A schedule from `start`, within `START`, to zero."""
+    """A schedule from `start` to zero."""
 
     start: float
 
@@ -89,8 +88,11 @@ class Falling:
 
 def _schedule(value: Any) -> Any:
     """`lin_3e-4` as a schedule that falls linearly to zero."""
-    text = str(value)
-    start = START.read(text.removeprefix("lin_"), "the number, or what stands behind lin_,")
+    text, start = str(value), math.nan
+    with suppress(ValueError):
+        start = float(text.removeprefix("lin_"))
+    if not 0.0 <= start <= 1e6:
+        raise PydanticCustomError("schedule", "Input should be a number from 0 to 1e6, or lin_ and one")
     return Falling(start) if text.startswith("lin_") else start
 
 

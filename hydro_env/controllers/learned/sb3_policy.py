@@ -40,7 +40,8 @@ class Sb3Policy(Policy):
         if not trust:
             raise InputError(f"{path}: is a pickle, which runs code when it is loaded; with --trust it is")
         self._model = _algorithm(path, policy).load(path, device="cpu")
-        observed, acted = self._model.observation_space.shape or (), self._model.action_space.shape
+        observed: tuple[int, ...] = self._model.observation_space.shape or ()
+        acted = self._model.action_space.shape
         widths = [n for n in (FRAME, FRAME + ERRORS) if len(observed) == 1 and not observed[0] % n]
         if not widths or acted != (2,):
             raise InputError(

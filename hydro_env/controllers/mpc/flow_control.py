@@ -25,17 +25,11 @@ SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
 reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part."""
 
-RATE = Gain(
-    "rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which the reference runs to the set-point"
-)
+RATE = Gain("rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which a reference runs to the set-point")
 RISE = Gain("rise", "1/s", 3.0, 60.0, default=28.0, summary="rated flows a second by which flow may rise")
 FALL = Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall")
-SWEEP = Gain(
-    "sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of the spools when probing, commands a second"
-)
-SEARCH = Gain(
-    "search", "1/s", 1.0, 20.0, default=9.3, summary="pace of the spools when crossing an unknown dead zone"
-)
+SWEEP = Gain("sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of spools when probing, commands a second")
+SEARCH = Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace of spools when crossing a dead zone")
 
 
 PARTS = {"reference": ("rate", "rise", "fall"), "probing": ("sweep",), "crossing": ("search",)}
