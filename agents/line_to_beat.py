@@ -84,7 +84,7 @@ def drive(drivers: Sequence[Any], pairs: range, scenarios: Sequence[str] = SCENA
     scores: Scores = {}
     for scenario in scenarios:
         rows = [roll_out(driver, pairs, scenario=scenario, **where) for driver in drivers]
-        scores[scenario] = {RETURN: np.array([row.trace.returns for row in rows])}
+        scores[scenario] = {RETURN: np.array([row.returns for row in rows])}
         for metric in (PEAK, TRACKING):
             scores[scenario][metric] = np.array([row.metrics([metric])[metric] for row in rows])
     return scores

@@ -119,7 +119,7 @@ def _train_seed(seed: int, *, config: Config, out: Path, pairs: int, command: st
         policy = NumpyPolicy(folder / "policy.npz")
         episodes = roll_out(policy, range(first, first + pairs), scenario=scenario, **kwargs)
         scores[scenario] = {name: float(iqm(values)) for name, values in episodes.metrics(METRICS).items()}
-        scores[scenario]["mean_return"] = float(np.mean(episodes.trace.returns))
+        scores[scenario]["mean_return"] = float(np.mean(episodes.returns))
     files = {name: (folder / name).read_bytes() for name in ("policy.npz", "curve.json")}
     return {
         "seed": seed,

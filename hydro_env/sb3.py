@@ -27,6 +27,7 @@ except ImportError as problem:
 __all__ = ["HydraulicSyncVecEnv"]
 
 Indices = None | int | Iterable[int]
+Stepped = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
 
 
 class HydraulicSyncVecEnv(VecEnv):
@@ -70,9 +71,7 @@ class HydraulicSyncVecEnv(VecEnv):
         """Takes the actions (N, 2) of the step."""
         self._actions = actions
 
-    def step_wait(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> Stepped:
         """The step: observations (N, n), rewards, ends (N,), infos."""
         assert self._actions is not None, "step_async comes first"
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)

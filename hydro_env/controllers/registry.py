@@ -151,9 +151,8 @@ def law_of(name: str) -> type[Controller]:
     if name in LAWS:
         return LAWS[name]
     if ":" not in name:
-        raise InputError(
-            f"unknown control law {name!r}: {suggestion(name, LAWS)}; or file.py:Class, module:Class"
-        )
+        near = suggestion(name, LAWS)
+        raise InputError(f"unknown control law {name!r}: {near}; file.py:Class and module:Class will do too")
     law = loaded(name)
     if not (isinstance(law, type) and issubclass(law, Controller) and law.GAINS):
         raise InputError(f"{name}: has no gains to tune; expected a Controller that lists them in GAINS")

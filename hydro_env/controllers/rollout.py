@@ -45,6 +45,11 @@ class Episodes:
     typical_command: float
     decision_s: float = 0.0
 
+    @property
+    def returns(self) -> Floats:
+        """Sums of the environment's reward with its default weights, (num_rigs,)."""
+        return self.trace.returns
+
     def metrics(self, names: Iterable[str] | None = None) -> dict[str, Floats]:
         """Scores of every rig by metric, each (num_rigs,)."""
         return compute(self.trace, names)

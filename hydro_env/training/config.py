@@ -146,6 +146,9 @@ ARGUMENTS: dict[str, Any] = {
 }
 
 
+_NETWORK = Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)]
+
+
 class _Environment(FileTable):
     """The table of the environment, beside the algorithm's arguments."""
 
@@ -153,9 +156,7 @@ class _Environment(FileTable):
     n_timesteps: Count
     policy: Literal["MlpPolicy"] = POLICY  # others cannot be exported
     env_kwargs: dict[str, Any] = Field(default_factory=dict)
-    policy_kwargs: Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)] = Field(
-        default_factory=dict
-    )
+    policy_kwargs: _NETWORK = Field(default_factory=dict)
 
 
 def _with_arguments(algorithm: str) -> type[_Environment]:

@@ -38,5 +38,5 @@ def evaluate(
     metrics = episodes.metrics(METRICS)
     scores = {name: float(trim_mean(metrics[name], 0.25)) for name in METRICS}
     scores["max_speed_difference_rpm_p95"] = float(np.percentile(metrics["max_speed_difference_rpm"], 95))
-    scores["mean_return"] = float(np.mean(episodes.trace.returns))
+    scores["mean_return"] = float(np.mean(episodes.returns))
     return scores

@@ -26,4 +26,4 @@ def test_its_script_trains_an_agent_that_drives(tmp_path, monkeypatch):
     driven = roll_out(
         make_controller("tqc.zip:increment=0.3", trust=True), [5], mismatch="val", scenario=course
     )
-    assert np.isfinite(driven.trace.returns).all() and np.ptp(driven.trace.command) > 0.0
+    assert np.isfinite(driven.returns).all() and np.ptp(driven.trace.command) > 0.0

@@ -78,7 +78,7 @@ def test_driven_like_the_rig_that_it_is(units: list[Path], rig: Path, preset: st
         controller = make_controller("cross_coupled")
         done = roll_out(controller, [4, 5], plant=plant, mismatch="own", scenario=drive, control_period=1e-3)
         traces.append(
-            (done.trace.speed_rpm, done.trace.command, done.trace.peak_difference_rpm, done.trace.returns)
+            (done.trace.speed_rpm, done.trace.command, done.trace.peak_difference_rpm, done.returns)
         )
     for ours, theirs in zip(*traces, strict=True):
         assert np.array_equal(ours, theirs)

@@ -172,7 +172,7 @@ class _Trials:
             costs = tracking + task.weight * (peak + RMS * rms) + wear * variation + (IDLING - 1.0) * beyond
             total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
             if bar is not None:
-                bar.update(len(done.trace.returns))
+                bar.update(len(done.returns))
         return total
 
     def final(
