@@ -20,11 +20,11 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from importlib import import_module, metadata
 from itertools import combinations
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_type_hints
 
 import gymnasium
 import numpy as np
@@ -254,16 +254,15 @@ def law_settings() -> str:
     rows: list[list[object]] = []
 
     def add(kind: type, path: str) -> None:
-        hints = get_type_hints(kind)
-        for each in fields(kind):
-            parts = [k for k in (hints[each.name], *get_args(hints[each.name])) if is_dataclass(k)]
-            if parts:
-                add(parts[0], f"{path}.{each.name}")  # type: ignore[arg-type]
+        for name, hint in get_type_hints(kind, include_extras=True).items():
+            default = kind._field_defaults[name]  # type: ignore[attr-defined]
+            if hasattr(default, "_fields"):
+                add(type(default), f"{path}.{name}")
                 continue
-            value = each.default if isinstance(each.default, bool) else f"{each.default:.4g}"
-            summary, reason = each.metadata["summary"], each.metadata["reason"]
-            text = f"{summary}. {reason[:1].upper()}{reason[1:]}" if reason else summary
-            rows.append([f"`{path}.{each.name}`", str(value).lower(), _unit(each.metadata["unit"]), text])
+            value = default if isinstance(default, bool) else f"{default:.4g}"
+            unit, summary, *reasons = hint.__metadata__
+            text = ". ".join([summary, *(f"{reason[:1].upper()}{reason[1:]}" for reason in reasons)])
+            rows.append([f"`{path}.{name}`", str(value).lower(), _unit(unit), text])
 
     add(FlowSettings, "law")
     return _table(["setting", "default", "unit", "meaning and source"], rows)

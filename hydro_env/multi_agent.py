@@ -83,9 +83,8 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
         self._columns = []
         for channel in (0, 1):
             frames = errors + np.arange(count)[:, None] * len(OBSERVATION) + _seen(channel, bool(others))
-            front = np.arange(0, errors, ERRORS)[:, None] + (
-                [channel, 1 - channel, 2] if others else [channel]
-            )
+            shown_errors = [channel, 1 - channel, 2] if others else [channel]
+            front = np.arange(0, errors, ERRORS)[:, None] + shown_errors
             self._columns.append(np.concatenate([front.ravel(), frames.ravel()]))
         shape = self._columns[0].shape
         self.observation_spaces = {agent: spaces.Box(-LIMIT, LIMIT, shape, np.float32) for agent in AGENTS}

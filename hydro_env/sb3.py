@@ -12,11 +12,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium import Wrapper, spaces
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .envs.batch import HydraulicSyncVectorEnv, row_of
+from .envs.batch import HydraulicSyncVectorEnv, one_of, row_of
 from .errors import suggestion, to_install
 
 try:
@@ -27,6 +27,7 @@ except ImportError as problem:
 __all__ = ["HydraulicSyncVecEnv"]
 
 Indices = None | int | Iterable[int]
+Stepped = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
 
 
 class HydraulicSyncVecEnv(VecEnv):
@@ -41,8 +42,7 @@ class HydraulicSyncVecEnv(VecEnv):
     """
 
     def __init__(self, num_envs: int, *, info: str = "end", **kwargs: Any) -> None:
-        if info not in ("end", "all"):
-            raise ValueError(f"info is {info!r}, expected 'end' or 'all'")
+        one_of("info", info, ("end", "all"))
         self.batch = HydraulicSyncVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         self.info = info
         self._actions: NDArray[Any] | None = None
@@ -71,9 +71,7 @@ class HydraulicSyncVecEnv(VecEnv):
         """Takes the actions (N, 2) of the step."""
         self._actions = actions
 
-    def step_wait(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> Stepped:
         """The step: observations (N, n), rewards, ends (N,), infos."""
         assert self._actions is not None, "step_async comes first"
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
@@ -98,13 +96,6 @@ class HydraulicSyncVecEnv(VecEnv):
         """Nothing has to be closed; may be called again."""
         self.batch.close()
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seeds row i with seed + i at the next reset; without a seed with one from the operating system."""
-        if seed is None:
-            seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self._seeds = [seed + row for row in range(self.num_envs)]
-        return self._seeds
-
     def _rows(self, indices: Indices) -> list[int]:
         return list(self._get_indices(indices))
 
@@ -116,9 +107,7 @@ class HydraulicSyncVecEnv(VecEnv):
         """Sets an attribute of the batch. AttributeError for one that it lacks, ValueError if not all rows are meant: they have
         them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
-            raise ValueError(
-                "all rows have their attributes in common: set them for all, or pass options to reset"
-            )
+            raise ValueError("rows have attributes in common: set them for all, or pass options to reset")
         if not hasattr(self.batch, attr_name):
             known = [name for name in vars(self.batch) if not name.startswith("_")]
             raise AttributeError(f"the batch has no attribute {attr_name!r}: {suggestion(attr_name, known)}")
@@ -134,9 +123,7 @@ class HydraulicSyncVecEnv(VecEnv):
         answers = self.batch.call(method_name, *method_args, **method_kwargs)
         return [answers[row] for row in self._rows(indices)]
 
-    def env_is_wrapped(
-        self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """False for each row: nothing is wrapped."""
         return [False] * len(self._rows(indices))
 

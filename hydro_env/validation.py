@@ -14,6 +14,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -53,6 +54,20 @@ NumberOrInfinity = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_
 """The same, and infinity."""
 Count = Annotated[int, BeforeValidator(_no_truth_value), Field(ge=1, le=10**15)]
 """A whole number of at least 1."""
+
+
+def two_numbers(value: Any) -> tuple[float, float]:
+    """A number, or one for each of the two channels."""
+    try:
+        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+        if len(values) != 2 or any(isinstance(each, bool) for each in values):
+            raise ValueError
+        pair = (float(values[0]), float(values[1]))
+        if np.isnan(pair).any():
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
+    return pair
 
 
 class FileTable(BaseModel):

@@ -7,13 +7,18 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hydro_env.controllers.settings import HAND, setting
+from hydro_env.controllers.base import HAND
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 
 S = TypeVar("S")
 MILLION = 1e6
 ENV = {"plant": "paper_dead_zone", "mismatch": "train"}
+
+
+def setting(default: Any, unit: str, summary: str, reason: str) -> Any:
+    """A field of a settings dataclass; `reason`: where the value comes from."""
+    return field(default=default, metadata={"unit": unit, "summary": summary, "reason": reason})
 
 
 @dataclass(frozen=True)

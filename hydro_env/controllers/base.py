@@ -1,4 +1,11 @@
-"""What a controller is: gains with names and units, `reset`, `act` on observations, one row per rig."""
+"""What a controller is: gains with names and units, `reset`, `act` on observations, one row per rig.
+
+Numbers of its parts that are no gains are settings: small named tuples, which compiled code takes as well. Every field has a
+unit, a meaning and a reason for its value; a truth value has the unit "", and no reason where its meaning says it.
+
+    class ReferenceSettings(NamedTuple):
+        rate: Annotated[float, "1/s", "how fast the reference runs to the set-point", TUNED] = 42.0
+"""
 
 from __future__ import annotations
 
@@ -22,9 +29,13 @@ if TYPE_CHECKING:
     from hydro_env.plant import Plant, PlantModel
 
 __all__ = [
-    "FRACTION_PER_V", "OUTPUT_SHAPING", "RPM", "SHAPE", "SLEW", "Bools", "Controller", "Floats", "Gain", "Measurements",
-    "Rows",
+    "FRACTION_PER_V", "HAND", "OUTPUT_SHAPING", "RPM", "TUNED", "Bools", "Controller", "Floats", "Gain", "Measurements", "Rows",
 ]  # fmt: skip
+
+TUNED = "tuned on `train`"
+"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/evidence/notes.md has the trials."""
+HAND = "set by hand"
+"""Chosen once, never searched for."""
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
@@ -55,11 +66,10 @@ class Gain:
         return scales.factor(top) / scales.factor(bottom)
 
 
-SLEW = Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf)
-SHAPE = Gain(
-    "shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"
+OUTPUT_SHAPING = (
+    Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf),
+    Gain("shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"),
 )
-OUTPUT_SHAPING = (SLEW, SHAPE)
 """Gains of the output shaping that all controllers share: no limit and no filter if left out."""
 
 
@@ -120,7 +130,6 @@ class Controller:
         self.period = 0.0
         self.guard = InputGuard(0, 1.0)
         self._started = False
-        self._num_rigs = 0
 
     def for_periods(self, sets: Mapping[float, Mapping[str, Any]]) -> None:
         """Gains for control periods (s): `reset` takes those whose period is nearest in ratio to its own."""
@@ -167,18 +176,14 @@ class Controller:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. `control_period` in s."""
-        self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
-        self.guard = InputGuard(self._num_rigs, self.period)
+        self.period, self._started = float(control_period), False
+        self.guard = InputGuard(int(num_rigs), self.period)
         self.gains = self.converted(self.gains_given())
 
     @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         measured = decode(np.asarray(observation), self.rig).over(self.scales)
-        if measured.speed.shape != (self._num_rigs, 2):
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got {len(measured.speed)} observations"
-            )
         if not self._started:
             self.sent = np.clip(measured.command, -1.0, 1.0).astype(float)
             self.__shaper = InputShaper(SPOOL_RATE, self.period, self.sent)

@@ -35,9 +35,9 @@ class InputGuard:
         self._missed: NDArray[np.int64] | None = None
 
     def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
-        """The observation with the last good value of what is absent. One of another shape is left as it is."""
+        """The observation with the last good value of what is absent. ValueError for one of another number of rigs."""
         if observation.ndim != 2 or len(observation) != len(self.fault):
-            return observation
+            raise ValueError(f"reset for {len(self.fault)} rigs, got observations {observation.shape}")
         if self._good is None or self._missed is None or self._good.shape != observation.shape:
             self._good = np.zeros_like(observation)
             self._missed = np.full(observation.shape, self._most + 1)

@@ -55,8 +55,8 @@ class Entry:
     """Made for another plant than the leaderboard's; `all` leaves it out."""
 
 
-def _law(law: type[Controller], name: str, summary: str) -> Entry:
-    return Entry(name, summary, lambda: law(name))
+def _law(law: type[Controller], name: str, summary: str, **gains: Any) -> Entry:
+    return Entry(name, summary, lambda: law(name, **gains).carry() if gains else law(name))
 
 
 def _tuned(name: str, summary: str) -> Entry:
@@ -72,11 +72,7 @@ def _policy(name: str, summary: str, apart: bool = False) -> Entry:
 CONTROLLERS: dict[str, Entry] = {
     entry.name: entry
     for entry in (
-        Entry(
-            "pid_paper",
-            "the paper's PIDs, Table III",
-            lambda: PidController("pid_paper", **TABLE_III).carry(),
-        ),
+        _law(PidController, "pid_paper", "the paper's PIDs, Table III", **TABLE_III),
         _tuned("pid_tuned", "the same law, gains found by search"),
         _tuned("master_slave", "motor 2 follows motor 1"),
         _tuned("cross_coupled", "PI with a PI on the speed difference"),
@@ -155,14 +151,11 @@ def law_of(name: str) -> type[Controller]:
     if name in LAWS:
         return LAWS[name]
     if ":" not in name:
-        raise InputError(
-            f"unknown control law {name!r}: {suggestion(name, LAWS)}; file.py:Class and module:Class will do too"
-        )
+        near = suggestion(name, LAWS)
+        raise InputError(f"unknown control law {name!r}: {near}; file.py:Class and module:Class will do too")
     law = loaded(name)
     if not (isinstance(law, type) and issubclass(law, Controller) and law.GAINS):
-        raise InputError(
-            f"{name}: has no gains to tune: a subclass of Controller that lists them in GAINS is right"
-        )
+        raise InputError(f"{name}: has no gains to tune; expected a Controller that lists them in GAINS")
     return law
 
 
@@ -192,9 +185,7 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
 def _from_gains(path: Path, name: str, trust: bool = False) -> Controller:
     found = read_gains(path)
     if ":" in found.controller and not trust:
-        raise InputError(
-            f"{path}: are gains of {shown(found.controller)}, code that would be run; with --trust it is"
-        )
+        raise InputError(f"{path}: gains of {shown(found.controller)}, code that is run only with --trust")
     with located(path):
         law = law_of(_beside(path, found.controller))
         controller: Controller = _made(lambda: law(found.name or name, **found.gains), found.controller)
@@ -227,6 +218,4 @@ def _made(make: Callable[[], Any], text: str) -> Any:
         raise
     except (Exception, SystemExit) as problem:
         place = f" ({place_of(problem)})" if place_of(problem) else ""
-        raise InputError(
-            f"{text}: could not be made: {type(problem).__name__}: {problem}{place}"
-        ) from problem
+        raise InputError(f"{text}: cannot be made: {type(problem).__name__}: {problem}{place}") from problem

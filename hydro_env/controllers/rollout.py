@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Controller, Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import shown
+from hydro_env.envs.own_functions import checked_rows
 from hydro_env.tasks import Trace, compute
 from hydro_env.tasks.metrics import SETTLED_RPM
 
@@ -88,7 +88,7 @@ def roll_out(
     spent, returns, done = 0.0, np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
     while not done.all():
         began = perf_counter()
-        returned = _checked(controller.act(observation), len(seeds))
+        returned = checked_rows("act returned", controller.act(observation), (len(seeds), 2))
         spent += perf_counter() - began
         action = np.minimum(np.maximum(returned, -1.0), 1.0)
         asked = controller.asked if isinstance(controller, Controller) else returned
@@ -126,21 +126,3 @@ def inform(controller: Any, model: Any, plant: Any, loads: Callable[[], Floats])
 
 def _loads(env: HydraulicSyncVectorEnv) -> Floats:
     return np.stack([env.reference(row).load for row in range(env.num_envs)], axis=1)
-
-
-def _checked(action: Any, num_rigs: int) -> Floats:
-    """The action as commands (num_rigs, 2), not limited yet; ValueError if it is none."""
-    try:
-        given = np.asarray(action)
-    except ValueError:  # rows of different lengths
-        given = np.array(None)
-    if given.dtype.kind not in "fiub" or given.shape != (num_rigs, 2):
-        found = (
-            f"the shape {given.shape} of {given.dtype}" if isinstance(action, np.ndarray) else shown(action)
-        )
-        raise ValueError(f"act returned {found}, expected an array ({num_rigs}, 2) of numbers")
-    command = given.astype(float)
-    finite = np.isfinite(command).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite))}")
-    return command

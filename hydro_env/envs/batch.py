@@ -5,7 +5,8 @@ The single environment is a batch of one. Arrays have one row per rig.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -100,13 +101,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.increment = _optional(INCREMENT, increment, "increment")
         self.max_episode_steps = _optional(EPISODE, max_episode_steps, "max_episode_steps")
         self.threads = THREADS.check(threads, "threads")
-        _one_of("errors", errors, (False, True))
-        _one_of("privileged", privileged, (False, True))
+        one_of("errors", errors, (False, True))
+        one_of("privileged", privileged, (False, True))
         if not (observation is None or callable(observation)):
             raise InputError(f"observation is {shown(observation)}, expected None or a function")
-        _one_of("dtype", dtype, ("float64", "float32"))
-        _one_of("render_mode", render_mode, (None, "rgb_array"))
-        _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
+        one_of("dtype", dtype, ("float64", "float32"))
+        one_of("render_mode", render_mode, (None, "rgb_array"))
+        one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
@@ -205,26 +206,22 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if "reset_mask" in read:
             raise InputError("use_options: reset_mask is for reset alone; options hold for all rows")
         if lacking := self._lacking(read.get("mismatch")):
-            raise InputError(
-                f"use_options: the plant lacks {', '.join(lacking)} so far: reset all rows with it once"
-            )
+            raise InputError(f"use_options: the plant lacks {', '.join(lacking)}: reset all rows with it")
         self._hold(np.arange(self.num_envs), read)
 
     def _read(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
         """Options of `reset` as they are used. InputError for what is none."""
         if not isinstance(options, Mapping | None):
-            raise InputError(
-                f"reset: options is {shown(options)}, expected a mapping of {', '.join(OPTIONS)}"
-            )
+            raise InputError(f"reset: options {shown(options)}, expected a mapping of {', '.join(OPTIONS)}")
         read = dict(options or {})
         check_known("reset: unknown option", read, OPTIONS)
-        if "scenario" in read:
-            read["scenario"] = load_scenario(read["scenario"], self.scales)
-        if "mismatch" in read:
-            read["mismatch"] = load_mismatch(read["mismatch"])
-        if "noise" in read:
-            read["noise"] = self._levels(read["noise"])
-        return read
+        scenarios = partial(load_scenario, scales=self.scales)
+        readers: dict[str, Callable[[Any], Any]] = {
+            "scenario": scenarios,
+            "mismatch": load_mismatch,
+            "noise": self._levels,
+        }
+        return {key: readers[key](value) if key in readers else value for key, value in read.items()}
 
     def _hold(self, rows: Rows, options: dict[str, Any]) -> None:
         """Notes the options with which the next episodes of these rows begin."""
@@ -237,21 +234,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             return np.ones(self.num_envs, np.bool_)
         try:
             mask = np.array(given)
-        except ValueError:
-            raise InputError(f"reset: reset_mask is {shown(given)}, expected a mask of rows") from None
+        except ValueError:  # rows of different lengths
+            mask = np.array(None)
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise InputError(
-                f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen"
-            )
+            raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows, one at least chosen")
         return mask
 
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Floats, Mask, Mask, dict[str, Any]]:
         """One control period with the actions (N, 2). ValueError if they are no finite real numbers or the shape is wrong."""
         mode, everyone, again = self.autoreset_mode, np.ones(self.num_envs, np.bool_), self._ended
         if mode is AutoresetMode.DISABLED and again.any():
-            raise gymnasium.error.ResetNeeded(
-                "an episode has ended: reset its row, options={'reset_mask': mask}"
-            )
+            raise gymnasium.error.ResetNeeded("an episode has ended: reset it, options={'reset_mask': mask}")
         waiting = mode is AutoresetMode.NEXT_STEP and again.any()
         result = self._rollout.outputs() if waiting and again.all() else self.step_rows(actions)
         observation, true, reward, terminated, truncated = result
@@ -322,16 +315,16 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """One control period for all rows, without autoreset, info and what `seen` does. ValueError as for `step`."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("reset every row of the environment before the first step")
-        wanted = _real(actions)
-        if wanted.shape != (self.num_envs, 2):
-            raise ValueError(f"actions have the shape {wanted.shape}, expected {(self.num_envs, 2)}")
+        wanted = checked_rows("actions are", actions, (self.num_envs, 2), finite=False)
         if self.increment is not None and np.isfinite(wanted).all():  # what is not is refused below
             wanted = self._rollout.state["fraction"] + self.increment * np.clip(wanted, -1.0, 1.0)
         result = self._rollout.step(wanted)
         self._remember(self._rollout.rows, result)
         if self._own_reward is not None:
             signals = {**self._signals(result[1], terms=True), "reward": result[2].copy()}
-            result[2][:] = checked_rows("reward", self._own_reward(signals), (self.num_envs,))
+            result[2][:] = checked_rows(
+                "reward: the function returned", self._own_reward(signals), (self.num_envs,)
+            )
         return result
 
     def seen(self, frames: NDArray[np.float32], true: Floats, finite: bool = True) -> NDArray[np.float32]:
@@ -341,7 +334,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._own_observation is None:
             return shown
         own = self._own_observation(shown, self._signals(true))
-        return checked_rows("observation", own, (self.num_envs, None), finite).astype(np.float32)
+        rows = checked_rows("observation: the function returned", own, (self.num_envs, None), finite)
+        return rows.astype(np.float32)
 
     def _signals(self, true: Floats, terms: bool = False) -> Signals:
         """What functions of the user's are told of the rows; the terms of the reward where there has been a step."""
@@ -368,9 +362,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         episodes = self._randomisation.next(rows, mismatch, seed, options.get("case"))
         lacking = self._lacking(mismatch)
         if lacking and rows.size < self.num_envs:
-            raise InputError(
-                "reset: this mismatch has effects the plant lacks so far: reset all rows with it"
-            )
+            raise InputError("reset: this mismatch has effects the plant lacks: reset all rows with it")
         if lacking:
             self._rollout.take(self._make_plant((*self.plant.effects, *lacking)))
         # Up to here something could be wrong with the options, and nothing has been changed; from here on not.
@@ -483,17 +475,6 @@ def row_of(info: dict[str, Any], row: int) -> dict[str, Any]:
     return own
 
 
-def _real(actions: ArrayLike) -> Floats:
-    """Actions as float64. ValueError for what is no array of real numbers."""
-    try:
-        given = np.asarray(actions)
-    except ValueError:
-        raise ValueError("actions have rows of different lengths") from None
-    if given.dtype.kind not in "fiub":
-        raise ValueError(f"actions are {given.dtype}, expected real numbers")
-    return np.ascontiguousarray(given, np.float64)
-
-
 def _optional(limits: Limits, value: Any, name: str) -> Any:
     """None, or the value where it is within its limits."""
     return None if value is None else limits.check(value, name)
@@ -508,7 +489,7 @@ def _tolerance(plant: Any, model: PlantModel, given_rpm: float | None) -> float 
     return plant.tolerance if isinstance(plant, Plant) else None
 
 
-def _one_of(name: str, value: object, right: tuple[object, ...]) -> None:
+def one_of(name: str, value: object, right: tuple[object, ...]) -> None:
     """InputError for an argument that is none of these."""
     if not any(type(value) is type(one) and value == one for one in right):
         raise InputError(f"{name} is {shown(value)}, expected one of {', '.join(map(repr, right))}")

@@ -11,11 +11,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
-from .batch import HydraulicSyncVectorEnv, row_of
+from .batch import HydraulicSyncVectorEnv, one_of, row_of
 from .env_spec import OwnSpec
 from .observation import Noise
 from .own_functions import OwnObservation, OwnReward
@@ -143,8 +142,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         privileged: bool = False, render_width: int = 640, increment: float | None = None, errors: bool = False,
         tolerance_rpm: float | None = None,
     ) -> None:  # fmt: skip
-        if render_mode not in (None, *type(self).metadata["render_modes"]):
-            raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
+        one_of("render_mode", render_mode, (None, *type(self).metadata["render_modes"]))
         self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
             1, plant, scenario, mismatch, control_period, "rgb_array" if render_mode == "human" else render_mode,

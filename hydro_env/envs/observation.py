@@ -86,9 +86,7 @@ def decode(observation: NDArray[np.floating], rig: Scales = PAPER) -> Measuremen
     array = np.asarray(observation)
     width = array.shape[1] if array.ndim == 2 else 0
     if not width or (width % FRAME and width % (FRAME + ERRORS)):
-        raise ValueError(
-            f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})"
-        )
+        raise ValueError(f"observations have the shape {array.shape}, expected (N, k * {FRAME})")
     frame = array[:, -FRAME:] * scales_on(rig)
     return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
 

@@ -1,4 +1,4 @@
-"""Functions of the user's that take the place of the reward or the observation."""
+"""Functions of the user's that take the place of the reward or the observation, and what users give the environment."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ OwnObservation = Callable[[NDArray[np.float32], Signals], NDArray[Any]]
 
 
 def checked_rows(
-    name: str, returned: Any, shape: tuple[int | None, ...], finite: bool = True
+    said: str, given: Any, shape: tuple[int | None, ...], finite: bool = True
 ) -> NDArray[np.float64]:
-    """What a function returned, as an array. InputError unless it holds finite numbers of this shape, None for any length."""
+    """What a function returned or a user gave, as an array. InputError, which begins with what is `said` of it ("act returned"),
+    unless it holds finite real numbers of this shape, None for any length."""
     try:
-        array = np.asarray(returned, np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
         array = np.empty(())
-    wanted = f"finite numbers of the shape {shape}".replace("None", "n")
-    if len(shape) != array.ndim or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
-        found = f"numbers of the shape {array.shape}" if array.ndim else shown(returned)
-        raise InputError(f"{name}: the function returned {found}, expected {wanted}")
-    if finite and not np.isfinite(array).all():
+    fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if array.dtype.kind not in "fiub" or not fits:
+        found = f"{array.dtype} of the shape {array.shape}" if isinstance(given, np.ndarray) else shown(given)
+    elif finite and not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0][0])
-        raise InputError(
-            f"{name}: the function returned {shown(array[row].tolist())} in row {row}, expected {wanted}"
-        )
-    return array
+        found = f"{shown(array[row].tolist())} in row {row}"
+    else:
+        return np.ascontiguousarray(array, np.float64)
+    wanted = f"finite numbers of the shape {shape}".replace("None", "n")
+    raise InputError(f"{said} {found}, expected {wanted}")

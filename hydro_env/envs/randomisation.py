@@ -54,11 +54,10 @@ class Randomisation:
         InputError for a wrong seed, and for a case that is asked for and not there; nothing is changed then.
         """
         n = self.episode.size
-        if seed is None or (isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes))):
-            given = [None] * n if seed is None else list(seed)
+        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes)):
+            given = list(seed)
         else:
-            first = SEED.check(seed, "reset: seed")
-            given = [first + i for i in range(n)]
+            given = [None if seed is None else SEED.check(seed, "reset: seed") + i for i in range(n)]
         if len(given) != n:
             raise InputError(f"reset: {len(given)} seeds for {n} environments")
         given = [None if each is None else SEED.check(each, "reset: a seed") for each in given]
@@ -127,9 +126,7 @@ def _cases(
     try:
         cases = [int(asked) + i if np.ndim(asked) == 0 else int(asked[i]) for i in rows.tolist()]
     except (TypeError, ValueError, IndexError, OverflowError):
-        raise InputError(
-            f"reset: option case is {shown(asked)}, expected a number or one for each row"
-        ) from None
+        raise InputError(f"reset: option case is {shown(asked)}, expected a number, or one a row") from None
     if not all(0 <= each < mismatch.cases for each in cases):
         raise InputError(f"reset: option case: cases of {mismatch.name!r} are 0 ... {mismatch.cases - 1}")
     return cases

@@ -42,10 +42,8 @@ class Reward:
 
 def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
     """Weights from a mapping of those to be changed; None for the defaults. InputError for anything unknown."""
-    if source is None:
-        return Reward()
-    if isinstance(source, Reward):
-        return source
+    if source is None or isinstance(source, Reward):
+        return source or Reward()
     if not isinstance(source, Mapping):
         raise InputError(f"reward: expected a mapping of weights or a function, found {shown(source)}")
     check_known("reward: unknown weight", source, asdict(Reward()))

@@ -28,13 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
-from ..errors import InputError, InputWarning, check_known, shown, suggestion
+from ..errors import InputError, InputWarning, check_known, located, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
 from ..streams import Component, Floats, Streams
 from ..units import with_unit
-from ..validation import FileTable, Number, checked, known
+from ..validation import FileTable, Number, checked, known, two_numbers
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
@@ -56,20 +56,6 @@ CASE_STRIDE = 389
 MAX_DRAWS = 10_000
 
 
-def _two(value: Any) -> tuple[float, float]:
-    """A number, or one for each of the two channels."""
-    try:
-        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-        if len(values) != 2 or any(isinstance(each, bool) for each in values):
-            raise ValueError
-        pair = (float(values[0]), float(values[1]))
-        if np.isnan(pair).any():
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
-    return pair
-
-
 _Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
@@ -82,7 +68,7 @@ class Range(FileTable):
     (`Scales`); a number is the value of the plant's own parameter, which is divided by it.
     """
 
-    fixed: Annotated[Any, AfterValidator(_two)] = None
+    fixed: Annotated[Any, AfterValidator(two_numbers)] = None
     uniform: _Ends | None = None
     loguniform: _Ends | None = None
     at_most: str | None = None
@@ -92,7 +78,7 @@ class Range(FileTable):
     @model_validator(mode="before")
     @classmethod
     def _numbers(cls, data: Any) -> Any:
-        return data if isinstance(data, Mapping | Range) else {"fixed": _two(data)}
+        return data if isinstance(data, Mapping | Range) else {"fixed": two_numbers(data)}
 
     @model_validator(mode="after")
     def _one_range(self) -> Range:
@@ -204,10 +190,8 @@ class Mismatch(FileTable):
         parts = {"": self.ranges} | {f"faults.{fault}: ": changed for fault, changed in self.faults.items()}
         for part, ranges in parts.items():
             for place, (name, each) in enumerate(ranges.items()):
-                try:
+                with located(f"{part}{name}"):
                     each.check(name, dict(list(ranges.items())[:place]))
-                except InputError as problem:
-                    raise ValueError(f"{part}{name}: {problem}") from None
         self._check_rig()
         inside = [(each, self.ranges[name]) for name, each in self._left.items()]
         if self.outside and all(r.low <= own.low and own.high <= r.high for r, own in inside):
@@ -216,9 +200,8 @@ class Mismatch(FileTable):
 
     def _check_rig(self) -> None:
         """ValueError for quantities of a rig that are unknown, lacking or not above zero."""
+        check_known("rig: unknown quantity", self.rig, (*QUANTITIES, PACE))
         for name, each in self.rig.items():
-            if name not in QUANTITIES and name != PACE:
-                raise ValueError(f"rig: {shown(name)} is unknown: {suggestion(name, (*QUANTITIES, PACE))}")
             if min(each.low) <= 0.0:
                 raise ValueError(f"rig: {name} should be above zero")
         whole = self.rig.keys() - {PACE}
@@ -261,9 +244,7 @@ class Mismatch(FileTable):
         """
         count = len(seeds)
         if self.rig and scales_of(model) != PAPER:
-            raise InputError(
-                f"mismatch {self.name!r} draws whole rigs in the units of the paper's: take the plant paper_dead_zone"
-            )
+            raise InputError(f"mismatch {self.name!r} draws whole rigs: take the plant paper_dead_zone")
         if cases[0] >= 0:
             streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
         else:
@@ -276,9 +257,7 @@ class Mismatch(FileTable):
             for name, redrawn in self._draw(streams, rows).items():
                 values[name][rows] = redrawn
         else:
-            raise InputError(
-                f"mismatch {self.name!r}: of {MAX_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
-            )
+            raise InputError(f"mismatch {self.name!r}: no pair of {MAX_DRAWS} lies outside {self.outside!r}")
         quantities = {name: values.pop(name) for name in self.rig}
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
         if len(self.rig) > 1:
@@ -315,9 +294,8 @@ class Mismatch(FileTable):
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
         in_turn = self.healthy is None and cases[0] >= 0
         chosen = cases if in_turn else (streams.random(1)[:, 0] * 2 * len(names)).astype(int)
-        sick = (
-            np.ones(len(cases), np.bool_) if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
-        )
+        every = np.full(len(cases), True)
+        sick = every if self.healthy is None else streams.random(1)[:, 0] >= self.healthy
         shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
         for row, number in enumerate(chosen):
@@ -372,9 +350,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return _read_own("mismatch", source, "mismatch")
     shipped = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
-        raise InputError(
-            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(shipped)}), a YAML file, a mapping or None"
-        )
+        raise InputError(f"mismatch is {shown(source)}, expected {', '.join(shipped)}, a file or a mapping")
     text, named = str(source), {**shipped, OWN: None}
     if text in named:
         return named[text]

@@ -74,30 +74,29 @@ class Scenario:
         """Number of control periods in an episode. InputError if not even one fits."""
         steps = round(self.duration / period)
         if steps < 1:
-            raise InputError(
-                f"scenario {self.name!r}: {self.duration:g} s is shorter than the control period"
-            )
+            raise InputError(f"scenario {self.name!r}: {self.duration:g} s is less than the control period")
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
         """The profile on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
-            seed = int(stream.integers(2**63))
-            setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
-            return Reference(setpoints[0], loads[0])
-        profile = self.profile(_grid(self.steps(period), period), stream)
-        setpoint, load = (np.asarray(each, dtype=float) for each in profile)
-        return Reference(setpoint * RPM * self.speed, load * self.torque)
+            streams = Streams(Component.SCENARIO, [int(stream.integers(2**63))], [0])
+            return Reference(*(each[0] for each in self.profiles(period, streams)))
+        return Reference(*self._profile(period, stream))
 
     def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
-            setpoint, load = self.profile(_grid(self.steps(period), period), streams)
-            return setpoint * RPM * self.speed, load * self.torque
-        rows = range(len(streams)) if self.random else ()
-        found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
-        return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
+            return self._profile(period, streams)
+        sources = [streams.generator(row) for row in range(len(streams))] if self.random else [None]
+        setpoints, loads = zip(*(self._profile(period, source) for source in sources), strict=True)
+        return np.stack(setpoints), np.stack(loads)
+
+    def _profile(self, period: float, source: Any) -> tuple[Floats, Floats]:
+        """What `profile` draws from a source, in SI and on this rig."""
+        setpoint, load = self.profile(_grid(self.steps(period), period), source)
+        return np.asarray(setpoint, float) * RPM * self.speed, np.asarray(load, float) * self.torque
 
 
 @lru_cache(maxsize=8)
@@ -212,12 +211,8 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
         [[0.2, 400.0]], _share([(1.5, 1.0, 0.0), (3.5, 0.0, 1.0), (5.0, 0.0, 0.0)]),
     ),
     Scenario("disturbance", "400 rpm; from 1.5 s opposed loads that oscillate at 1.5 Hz", 5.0, _disturbance),
-    Scenario(
-        "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True
-    ),
-    Scenario(
-        "random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True
-    ),
+    Scenario("random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True),
+    Scenario("random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True),
     Scenario("random_drives", "random_profiles from rest, most without unequal loads", 6.0, _random_drives, True, True),
 )}  # fmt: skip
 """The scenarios by name."""
@@ -235,9 +230,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = P
         check_known("unknown scenario", [source], SCENARIOS)
         return SCENARIOS[source].on(scales)
     if not isinstance(source, Mapping):
-        raise InputError(
-            f"scenario is {shown(source)}, expected a name ({', '.join(SCENARIOS)}) or a mapping of step tables"
-        )
+        raise InputError(f"scenario is {shown(source)}, expected {', '.join(SCENARIOS)} or step tables")
     given = checked(_StepTables, source, "scenario")
     return _tables(given.name, "step tables", given.duration, given.setpoint_rpm, given.load_Nm)
 

@@ -66,9 +66,8 @@ def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgor
     try:
         content = (checkpoint / "env.pkl").read_bytes()
         # Loading seeds the environment it is given, which must not touch the one that goes on: it gets another copy.
-        model = algorithm.load(
-            checkpoint / "model.zip", env=pickle.loads(content), device="cpu", force_reset=False
-        )
+        other = pickle.loads(content)
+        model = algorithm.load(checkpoint / "model.zip", env=other, device="cpu", force_reset=False)
         env: VecEnv = pickle.loads(content)
         model.set_env(env, force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
@@ -78,9 +77,7 @@ def restore(checkpoint: Path, algorithm: type[BaseAlgorithm]) -> tuple[BaseAlgor
         progress = json.loads((checkpoint / "progress.json").read_text(encoding="utf-8"))
     except Exception as problem:  # whole, but of other versions: an old class may miss anything
         reason = " ".join(f"{type(problem).__name__}: {problem}".split())
-        raise InputError(
-            f"{checkpoint}: cannot be resumed ({reason}); resume with the versions that wrote it, or {_AFRESH}"
-        ) from None
+        raise InputError(f"{checkpoint}: of other versions ({reason}): use those or {_AFRESH}") from None
     torch.set_rng_state(of_torch)
     np.random.set_state(of_numpy)  # noqa: NPY002
     random.setstate(of_python)

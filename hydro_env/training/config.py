@@ -16,24 +16,26 @@ import ast
 import inspect
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import AfterValidator, Field, create_model, field_validator
+from pydantic import AfterValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from hydro_env.controllers.learned.policy_interface import make_interface
+from hydro_env.controllers.learned.policy_interface import InterfaceTable
 from hydro_env.errors import InputError
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 from hydro_env.validation import Count, FileTable, Number, checked, known
 
-ENV_ID, POLICY = "HydraulicSync-v0", "MlpPolicy"
+ENV_ID: Final = "HydraulicSync-v0"
+POLICY: Final = "MlpPolicy"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 # Arguments of the algorithms that are set elsewhere or have no place in a file.
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
@@ -50,7 +52,7 @@ class Training(FileTable):
 
     Attributes:
         algorithm: "ppo" or "sac".
-        interface: table of `hydro_env.controllers.learned.policy_interface.make_interface`; the plain observation if empty.
+        interface: between observations and the network; the plain observation if empty.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
@@ -63,7 +65,7 @@ class Training(FileTable):
     """
 
     algorithm: Literal["ppo", "sac"]
-    interface: dict[str, Any] = Field(default_factory=dict)
+    interface: InterfaceTable = InterfaceTable()
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     checkpoint_every: Count = 1_000_000
     evaluate_every: Count = 500_000
@@ -71,12 +73,6 @@ class Training(FileTable):
     evaluate_pairs: Count = 64
     tracking_weight: NotNegative = 0.5
     tail_weight: NotNegative = 0.0
-
-    @field_validator("interface")
-    @classmethod
-    def _is_one(cls, table: dict[str, Any]) -> dict[str, Any]:
-        make_interface(table)
-        return table
 
 
 # --- arguments of the algorithms --------------------------------------------------------------------------------------
@@ -92,16 +88,12 @@ class Falling:
 
 def _schedule(value: Any) -> Any:
     """`lin_3e-4` as a schedule that falls linearly to zero."""
-    falls = isinstance(value, str) and value.startswith("lin_")
-    try:
-        start = float(value.removeprefix("lin_") if isinstance(value, str) else value)
-        if isinstance(value, bool) or not 0.0 <= start <= 1e6:
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise PydanticCustomError(
-            "schedule", "Input should be a number from 0 to 1e6, or lin_ and one, lin_1e-3"
-        ) from None
-    return Falling(start) if falls else start
+    text, start = str(value), math.nan
+    with suppress(ValueError):
+        start = float(text.removeprefix("lin_"))
+    if not 0.0 <= start <= 1e6:
+        raise PydanticCustomError("schedule", "Input should be a number from 0 to 1e6, or lin_ and one")
+    return Falling(start) if text.startswith("lin_") else start
 
 
 def _finite(value: Any) -> Any:
@@ -116,27 +108,18 @@ def _finite(value: Any) -> Any:
 
 def _policy_kwargs(value: Any) -> dict[str, Any]:
     """A table, or RL-Zoo's `dict(net_arch=[64, 64], activation_fn=nn.Tanh)`, of which only plain values are read."""
-    if isinstance(value, dict):
-        given = dict(value)
-        if isinstance(given.get("activation_fn"), str):
-            given["activation_fn"] = _activation(given["activation_fn"])
-        return given
-    try:
-        parsed = _plain(ast.parse(str(value).strip(), mode="eval").body)
-    except InputError:
-        raise
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        parsed = None
-    if not isinstance(parsed, dict):
-        raise PydanticCustomError(
-            "policy_kwargs", "Input should be dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
-        )
-    return parsed
+    if not isinstance(value, dict):
+        with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+            value = _plain(ast.parse(str(value).strip(), mode="eval").body)
+    if not isinstance(value, dict):
+        raise ValueError("expected dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like")
+    name = value.get("activation_fn")
+    return value | {"activation_fn": _activation(name)} if isinstance(name, str) else value
 
 
 def _plain(node: ast.expr) -> Any:
     if isinstance(node, ast.Attribute):
-        return _activation(ast.unparse(node))
+        return ast.unparse(node)
     if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
         return {str(each.arg): _plain(each.value) for each in node.keywords}
     return ast.literal_eval(node)
@@ -163,23 +146,17 @@ ARGUMENTS: dict[str, Any] = {
 }
 
 
+_NETWORK = Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)]
+
+
 class _Environment(FileTable):
     """The table of the environment, beside the algorithm's arguments."""
 
     n_envs: Count = 1
     n_timesteps: Count
-    policy: str = POLICY
+    policy: Literal["MlpPolicy"] = POLICY  # others cannot be exported
     env_kwargs: dict[str, Any] = Field(default_factory=dict)
-    policy_kwargs: Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)] = Field(
-        default_factory=dict
-    )
-
-    @field_validator("policy")
-    @classmethod
-    def _can_be_exported(cls, policy: str) -> str:
-        if policy != POLICY:
-            raise ValueError(f"{policy!r} cannot be exported; only {POLICY!r} can")
-        return policy
+    policy_kwargs: _NETWORK = Field(default_factory=dict)
 
 
 def _with_arguments(algorithm: str) -> type[_Environment]:

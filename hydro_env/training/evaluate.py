@@ -24,16 +24,12 @@ def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     other noise, if that is `null`)."""
     kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
     mismatch = env_kwargs.get("mismatch", "train")
-    return kwargs | {
-        "mismatch": VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch
-    }
+    scored = VALIDATION.get(mismatch, mismatch) if isinstance(mismatch, str) else mismatch
+    return kwargs | {"mismatch": scored}
 
 
 def evaluate(
-    policy: str | Path | Policy,
-    pairs: int,
-    env_kwargs: dict[str, Any],
-    scenario: str = "setpoint_steps",
+    policy: str | Path | Policy, pairs: int, env_kwargs: dict[str, Any], scenario: str = "setpoint_steps"
 ) -> dict[str, float]:
     """Interquartile means over the first `pairs` pairs of `scored_pairs` in a scenario, the 95th percentile of the largest
     speed difference, and the mean return with the environment's default weights. `policy`: a policy file, or what it holds."""

@@ -51,9 +51,8 @@ def export_policy(
 ) -> None:
     """Writes a policy file in one go. `about` is what the reader should know of its training; JSON values."""
     arrays, activation, squash = policy_arrays(model)
-    write_policy(
-        path, arrays, {"activation": activation, "squash": squash, "interface": dict(interface), **about}
-    )
+    own = {"activation": activation, "squash": squash, "interface": dict(interface)}
+    write_policy(path, arrays, {**own, **about})
 
 
 def write_policy(path: str | Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> None:

@@ -29,10 +29,9 @@ def alone_in(folder: Path) -> Iterator[None]:
     try:
         lock.acquire(blocking=False)
     except Timeout:
-        owner = ""
+        owner = "another process"
         with suppress(OSError):  # Windows lets nobody read a locked file
-            owner = path.read_text(encoding="utf-8")
-        owner = owner or "another process"
+            owner = path.read_text(encoding="utf-8") or owner
         raise InputError(f"{folder}: {owner} trains here; wait for its end, or name another folder") from None
     try:
         with suppress(OSError):  # Windows, or a full disk: the lock holds, only its owner has no name

@@ -231,7 +231,5 @@ def _newest(config: Config, out: Path, resume: bool) -> Path | None:
     elif resume and newest is None:
         raise InputError(f"{out}: holds no checkpoint to resume from")
     if newest is not None and begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
-        raise InputError(
-            f"{config.path}: differs from {begun}, with which the run was started; resume with that file"
-        )
+        raise InputError(f"{config.path}: differs from {begun}, with which the run began; resume with that")
     return newest

@@ -58,7 +58,7 @@ def test_the_training_files_are_valid(name):
         ("HydraulicSync-v0:", "Pendulum-v1:", "unknown key 'Pendulum-v1'"),
         ("algorithm: ppo", "algorithm: dqn", "algorithm is 'dqn'"),
         ("evaluate_pairs: 2", "evaluate_scenarios: [sin]", "unknown scenario 'sin': did you mean 'sine'?"),
-        ("kind: frames", "kind: eyes", "interface: kind 'eyes' is unknown"),
+        ("kind: frames", "kind: eyes", "interface.kind is 'eyes', should be 'frames'"),
         ("n_timesteps: 2048", "n_timesteps: 1e6", "n_timesteps is '1e6'"),
         (
             "learning_rate: lin_1e-3",
@@ -67,7 +67,7 @@ def test_the_training_files_are_valid(name):
         ),
         ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
         ("nn.Tanh", "nn.Softmax", "activation_fn nn.Softmax is unknown"),
-        ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
+        ("MlpPolicy", "CnnPolicy", "policy is 'CnnPolicy', should be 'MlpPolicy'"),
         ("training:", "training: [", "not YAML"),
         ("plant: paper_dead_zone", "plat: paper", "env_kwargs"),
         ("batch_size: 128", "batch_size: .nan", "batch_size is nan, should be"),

@@ -313,12 +313,12 @@ class NeedsMore(Good):
 """
 REASONS = {
     "Raises": "RuntimeError: out of oil",
-    "NotANumber": "not finite for case 0",
-    "WrongShape": r"shape \(2,\) of .*, expected an array \(4, 2\)",
+    "NotANumber": "in row 0, expected finite numbers",
+    "WrongShape": r"of the shape \(2,\), expected .* \(4, 2\)",
     "Text": r"returned \[\[.full., ",
     "Nothing": "returned None",
-    "Ragged": r"expected an array \(4, 2\) of numbers",
-    "Complex": "of complex128, expected",
+    "Ragged": r"expected finite numbers of the shape \(4, 2\)",
+    "Complex": "complex128 of the shape",
     "Slow": "took more than 0.2 s",
     "Exits": "SystemExit: enough",
     "CannotReset": "KeyError: 'gain'",
@@ -376,9 +376,9 @@ def test_a_submission_is_scored_by_one_command(submissions, capsys):
     ("name", "message"),
     [
         ("mine.py:NoReset", "no method 'reset'"),
-        ("mine.py:NeedsMore", "could not be made: TypeError"),
+        ("mine.py:NeedsMore", "cannot be made: TypeError"),
         ("mine.py:Godo", "did you mean 'Good'"),
-        ("mine.py", "mine.py:NeedsMore: could not be made"),
+        ("mine.py", "mine.py:NeedsMore: cannot be made"),
         ("yours.py:Good", "no such file"),
         ("pid_tund", "did you mean 'pid_tuned'"),
     ],

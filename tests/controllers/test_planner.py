@@ -15,7 +15,6 @@ from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettin
 from hydro_env.controllers.mpc.planner import (
     HORIZON,
     Planner,
-    PlannerNumbers,
     PlannerSettings,
     Scene,
     Work,
@@ -25,7 +24,6 @@ from hydro_env.controllers.mpc.planner import (
     predict_delayed,
 )
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.settings import numbers
 from hydro_env.envs.observation import decode
 from hydro_env.plant import load_model, simulate
 from hydro_env.units import RPM
@@ -41,8 +39,7 @@ def channel(friction=0.0, **settings):
 
 def weights(apart, moves, swing, soft_limit, turns):
     """Beside 1 for the distance from the aim."""
-    changed = PlannerSettings(apart=apart, moves=moves, swing=swing, soft_limit=soft_limit, turns=turns)
-    return numbers(PlannerNumbers, changed)
+    return PlannerSettings(apart=apart, moves=moves, swing=swing, soft_limit=soft_limit, turns=turns)
 
 
 def scene(place, motor, load, edge, gain, sent, aim):

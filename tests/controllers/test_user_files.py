@@ -111,9 +111,9 @@ def test_gains_of_an_own_law_that_cannot_be_made_are_one_line(folder: Path) -> N
     (folder / "gains.json").write_text(
         '{"schema": "hydro_env/gains/1", "controller": "mine.py:Own", "gains": {"self": 1}}'
     )
-    with pytest.raises(InputError, match=r"gains\.json: mine\.py:Own: could not be made: TypeError"):
+    with pytest.raises(InputError, match=r"gains\.json: mine\.py:Own: cannot be made: TypeError"):
         make_controller("gains.json", trust=True)
-    with pytest.raises(InputError, match=r"mine\.py:Own: could not be made: TypeError"):
+    with pytest.raises(InputError, match=r"mine\.py:Own: cannot be made: TypeError"):
         make_controller("mine.py:Own:self=1")
 
 

@@ -510,7 +510,7 @@ def test_the_lowest_line_pressure_is_told_where_it_is_known():
         ({"reward": {"tracking": "much"}}, "tracking"),
         ({"render_mode": "ansi"}, "render_mode"),
         ({"render_mode": "rgb_array", "render_width": 10}, "render_width"),
-        ({"scenario": {"duration": 1e-4}}, "shorter"),
+        ({"scenario": {"duration": 1e-4}}, "less than the control period"),
     ],
 )
 def test_wrong_arguments_are_named(arguments, told):

@@ -117,7 +117,7 @@ def test_other_rows_show_what_they_showed_at_a_masked_reset():
         ({"reward": lambda true: 1.0}, r"reward: the function returned 1.0, expected finite numbers of the shape \(2,\)"),
         ({"reward": lambda true: true["speed_rpm"]}, r"shape \(2, 2\), expected .* \(2,\)"),
         ({"reward": lambda true: np.array([0.0, np.nan])}, "returned nan in row 1"),
-        ({"reward": lambda true: None}, r"reward: the function returned nan|reward: the function returned None"),
+        ({"reward": lambda true: None}, r"reward: the function returned None"),
         ({"observation": lambda frames, true: frames[:, 0]}, r"observation: .* shape \(2,\), expected .* \(2, n\)"),
         ({"observation": lambda frames, true: "x"}, "observation: the function returned 'x'"),
         ({"observation": lambda frames, true: 1.0 / frames[:, 7:8]}, "observation: .*inf.* in row 0"),

@@ -86,12 +86,12 @@ def test_faults_are_relative_to_the_rig() -> None:
 
 
 def test_refused_where_it_means_nothing() -> None:
-    with pytest.raises(InputError, match="units of the paper's: take the plant paper_dead_zone"):
+    with pytest.raises(InputError, match="draws whole rigs: take the plant paper_dead_zone"):
         HydraulicSyncVectorEnv(1, "rig", mismatch="train_any").reset(seed=0)
     ranges = {"parameters": {"Fs": 0.2}, "rig": {"size": 8.0}}
     with pytest.raises(InputError, match=r"mismatch: rig: supply is missing \(supply pressure, bar\)"):
         load_mismatch(ranges)
-    with pytest.raises(InputError, match="rig: 'paec' is unknown"):
+    with pytest.raises(InputError, match="rig: unknown quantity 'paec'"):
         load_mismatch({"parameters": {"Fs": 0.2}, "rig": {"paec": 1.0}})
     with pytest.raises(InputError, match="rig: pace should be above zero"):
         load_mismatch({"parameters": {"Fs": 0.2}, "rig": {"pace": 0.0}})

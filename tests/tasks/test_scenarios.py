@@ -93,7 +93,7 @@ def test_step_tables():
         ({"duration": 1.0, "setpoint_rpm": [[0, 1, 2]]}, "setpoint_rpm"),
         ({"duration": 1.0, "setpoint_rpm": [[1, 1], [0, 2]]}, "rise"),
         ({"duration": -1.0}, "duration"),
-        (7, "expected a name"),
+        (7, "scenario is 7, expected setpoint_steps"),
     ],
 )
 def test_refused(source, told):

@@ -21,6 +21,12 @@ COUPLING = (
     Gain("Kc", "V/rpm", 0.01, 0.4, summary="proportional gain on the speed difference"),
     Gain("Tic", "s", 0.004, 1.0, summary="integral time on the speed difference"),
 )
+SLAVE = (
+    Gain("Kp_slave", "V/rpm", 0.01, 0.8, summary="proportional gain of the slave"),
+    Gain("Ti_slave", "s", 0.01, 1.0, summary="integral time of the slave"),
+)
+WEIGHT = Gain("coupling", "1", 0.1, 20.0, summary="weight of the lag behind the other motor in the error")
+LEAD = Gain("lead", "rpm", 30.0, 600.0, summary="how far the leader may run ahead")
 
 
 class Following(Controller):
@@ -75,13 +81,7 @@ class RelativeCoupled(Following):
     (The weights are usually set by the ratio of the inertias; those of the two motors are equal.)
     """
 
-    GAINS = (
-        KP,
-        TI,
-        Gain("coupling", "1", 0.1, 20.0, summary="weight of the lag behind the other motor in the error"),
-        FILTER,
-        *OUTPUT_SHAPING,
-    )
+    GAINS = (KP, TI, WEIGHT, FILTER, *OUTPUT_SHAPING)
 
     def command(self, measured: Measurements) -> Floats:
         lag = measured.speed[:, ::-1] - measured.speed
@@ -93,10 +93,7 @@ class VirtualLeader(CrossCoupled):
     """Cross coupling behind a leader that waits: it runs to the set-point, but never further than `lead`
     ahead of the slower motor, so that a valve still crossing its dead zone holds both motors up."""
 
-    GAINS = (
-        *CrossCoupled.GAINS,
-        Gain("lead", "rpm", 30.0, 600.0, summary="how far the leader may run ahead"),
-    )
+    GAINS = (*CrossCoupled.GAINS, LEAD)
 
     def command(self, measured: Measurements) -> Floats:
         leader = self._reference.value
@@ -113,14 +110,7 @@ class VirtualLeader(CrossCoupled):
 class MasterSlave(Following):
     """Motor 1 follows the smoothed set-point, motor 2 follows the measured speed of motor 1."""
 
-    GAINS = (
-        KP,
-        TI,
-        Gain("Kp_slave", "V/rpm", 0.01, 0.8, summary="proportional gain of the slave"),
-        Gain("Ti_slave", "s", 0.01, 1.0, summary="integral time of the slave"),
-        FILTER,
-        *OUTPUT_SHAPING,
-    )
+    GAINS = (KP, TI, *SLAVE, FILTER, *OUTPUT_SHAPING)
 
     def pi(self, output: Floats, gain: str, time: str) -> Pid:
         return Pid(self.period, output, per_rpm(self._both(gain)), self._both(time))

@@ -45,11 +45,10 @@ class DisturbanceObserver(Controller):
         self._valve = np.zeros((n, 2, 2)), np.ones((n, 2))
         self._model = measured.speed.astype(float)
         self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
-        decay, pole = np.exp(-MOTOR.rate * self.period), np.exp(-self.gains["observer"] * self.period)
-        self._decay = decay
-        self._per_flow = (1.0 - decay) / MOTOR.per_speed
+        self._decay, pole = np.exp(-MOTOR.rate * self.period), np.exp(-self.gains["observer"] * self.period)
+        self._per_flow = (1.0 - self._decay) / MOTOR.per_speed
         # Gains that put both poles of the estimation error at `pole`, from the trace and determinant of its matrix.
-        self._to_speed = 1.0 - pole**2 / decay
+        self._to_speed = 1.0 - pole**2 / self._decay
         self._to_disturbance = (1.0 - pole) ** 2 / self._per_flow
         # The command in force is right as it is: what the rated motor would not need of it is the disturbance.
         wanted = self._wanted(measured)

@@ -56,9 +56,7 @@ class FromTheBench(Controller):
 
     def start(self, measured: Measurements) -> None:
         if not hasattr(self, "valves"):
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
-            )
+            raise RuntimeError(f"{self.name} needs prepare(plant) before the episode: its valves on a bench")
         super().start(measured)
 
 

@@ -8,15 +8,13 @@ is held for unknown, of both motors together or against each other, and found ag
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import HAND, TUNED, Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
-from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))
@@ -24,19 +22,15 @@ TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE
 """Standard deviation of the torque read from a pressure sensor, N m."""
 
 
-@dataclass(frozen=True)
-class MotorFilterSettings:
+class MotorFilterSettings(NamedTuple):
     """What the filter expects of loads and of its own model."""
 
-    together: float = setting(0.006, "N m", "random walk of the loads' mean in a period", TUNED)
-    apart: float = setting(0.0005, "N m", "and of half their difference", TUNED)
-    changed: float = setting(0.06, "1", "share of a change of torque that its integral may have wrong", TUNED)
-    unsampled: float = setting(0.5, "1", "share of the torque between samples that may be wrong", TUNED)
-    sudden: float = setting(4.0, "1", "a miss that shows a load's jump, standard deviations", HAND)
-    twice: float = setting(8.0, "1", "product of two misses in a row that does, variances", TUNED)
-
-
-MotorFilterNumbers: Any = numbers_of(MotorFilterSettings)
+    together: Annotated[float, "N m", "random walk of the loads' mean in a period", TUNED] = 0.006
+    apart: Annotated[float, "N m", "and of half their difference", TUNED] = 0.0005
+    changed: Annotated[float, "1", "share of a change of torque that its integral may have wrong", TUNED] = 0.06  # fmt: skip
+    unsampled: Annotated[float, "1", "share of the torque between samples that may be wrong", TUNED] = 0.5
+    sudden: Annotated[float, "1", "a miss that shows a load's jump, standard deviations", HAND] = 4.0
+    twice: Annotated[float, "1", "product of two misses in a row that does, variances", TUNED] = 8.0
 
 
 class MotorState(NamedTuple):
@@ -57,7 +51,7 @@ class MotorFilter:
         self, settings: MotorFilterSettings, period: float, motor: Motor, speed: Floats, pressure: Floats
     ) -> None:
         """No load; `speed` and `pressure` (num_rigs, 2) as they are now."""
-        self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
+        self._settings, self._gained = settings, period / INERTIA
         self._motor = motor.noise * TORQUE_NOISE, motor.friction * FRICTION
         torque, miss = np.zeros((2, *speed.shape))
         covariance = np.zeros((len(speed), 4, 4))
@@ -73,7 +67,7 @@ class MotorFilter:
         the speeds' noise as a multiple of the usual. Where `blind`, `speed` is taken for the speed and the load stays.
         """
         readings = np.ascontiguousarray(speed), np.ascontiguousarray(pressure)
-        _update(self._numbers, self._gained, *self._motor, self.state, *readings, unsampled, noise, blind)
+        _update(self._settings, self._gained, *self._motor, self.state, *readings, unsampled, noise, blind)
 
 
 @compiled

@@ -6,13 +6,12 @@ shares of the rated command, so that a nominal valve without a dead zone has edg
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf, sqrt
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.settings import setting
 from hydro_env.plant import PARAMETERS
 from hydro_env.plant.sensors import NOISE
 from hydro_env.units import BAR, RPM
@@ -40,21 +39,20 @@ TUNED_PERIOD = 0.01
 """The control period that rates and gains were tuned at, s."""
 
 
-@dataclass(frozen=True)
-class Motor:
+class Motor(NamedTuple):
     """Flow, as a share of the rated one, that torque, speed and acceleration of a motor take (eq. 1 and 2)."""
 
-    leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
-    compliance: float = setting(0.0, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)")
-    mode: float = setting(0.0, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor")
-    damping: float = setting(
-        0.0, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none"
-    )
-    friction: float = setting(1.0, "1", "viscous friction relative to the paper's motor", "Table I")
-    supply: float = setting(
-        inf, "Pa", "supply pressure by which a valve's flow falls (7)", "none in the paper's simulation"
-    )
-    noise: float = setting(1.0, "1", "noise of a pressure, of the usual one", "sensors")
+    leakage: Annotated[float, "1", "leakage relative to the paper's motor", "Table I"] = 1.0
+    compliance: Annotated[float, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)"] = 0.0
+    mode: Annotated[float, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor"] = 0.0
+    damping: Annotated[
+        float, "1", "leakage that feedback of the pressure adds", "the paper's motor needs none"
+    ] = 0.0
+    friction: Annotated[float, "1", "viscous friction relative to the paper's motor", "Table I"] = 1.0
+    supply: Annotated[
+        float, "Pa", "supply pressure by which a valve's flow falls (7)", "none in the paper's simulation"
+    ] = inf
+    noise: Annotated[float, "1", "noise of a pressure, of the usual one", "sensors"] = 1.0
 
     @property
     def per_torque(self) -> float:

@@ -7,14 +7,12 @@ the valve's flow where it cannot be trusted at all (eq. 1). One row per rig, one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats, Rows
+from hydro_env.controllers.base import HAND, Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
-from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
@@ -25,22 +23,18 @@ KEPT, SHARE = np.array([3, 6, 8]), np.array([0.51, 0.446, 0.326])
 INERTIA, DISPLACEMENT, FRICTION, LEAKAGE = (NOMINAL[name] for name in ("J", "D", "B", "Km"))
 
 
-@dataclass(frozen=True)
-class SensorSettings:
+class SensorSettings(NamedTuple):
     """From when on a sensor is held for noisy, lagging or stuck."""
 
-    active: bool = setting(True, "", "whether readings are supervised at all")
-    noisy: float = setting(1.7, "1", "noise of a speed that counts as unusual, of usual", HAND)
-    noisy_pressure: float = setting(1.4, "1", "and of the pressures: all four sensors tell of it", HAND)
-    forgetting: float = setting(0.02, "1", "share of a new square in the noise's mean", HAND)
-    settled: float = setting(15.0, "1", "samples of a steady reference before noise is measured", HAND)
-    bend: float = setting(8.0, "1", "bend of a reading that tells of a lag, standard deviations", HAND)
-    lagging: float = setting(0.014, "s", "lag that is corrected; a load's step looks like 0.01", HAND)
-    model: float = setting(1.4 * RPM, "rad/s", "standard deviation of a period's integrated torque", HAND)
-    rate: float = setting(3.0, "1/s", "pace from integrated torque to a doubtful reading or flow", HAND)
-
-
-SensorNumbers: Any = numbers_of(SensorSettings)
+    active: Annotated[bool, "", "whether readings are supervised at all"] = True
+    noisy: Annotated[float, "1", "noise of a speed that counts as unusual, of usual", HAND] = 1.7
+    noisy_pressure: Annotated[float, "1", "and of the pressures: all four sensors tell of it", HAND] = 1.4
+    forgetting: Annotated[float, "1", "share of a new square in the noise's mean", HAND] = 0.02
+    settled: Annotated[float, "1", "samples of a steady reference before noise is measured", HAND] = 15.0
+    bend: Annotated[float, "1", "bend of a reading that tells of a lag, standard deviations", HAND] = 8.0
+    lagging: Annotated[float, "s", "lag that is corrected; a load's step looks like 0.01", HAND] = 0.014
+    model: Annotated[float, "rad/s", "standard deviation of a period's integrated torque", HAND] = 1.4 * RPM
+    rate: Annotated[float, "1/s", "pace from integrated torque to a doubtful reading or flow", HAND] = 3.0
 
 
 class SensorState(NamedTuple):
@@ -65,8 +59,7 @@ class SensorSupervision:
     def __init__(self, settings: SensorSettings, period: float, motor: Motor, seen: Measurements) -> None:
         """`seen`: the first readings, taken at rest."""
         num_rigs, pair = len(seen.speed), seen.speed.shape
-        self.settings, self._numbers = settings, numbers(SensorNumbers, settings)
-        self._period, self._leak = period, motor.leakage * LEAKAGE
+        self.settings, self._period, self._leak = settings, period, motor.leakage * LEAKAGE
         self._motor, self._pressure_noise = motor, motor.noise * PRESSURE_NOISE
         self._drag = motor.friction * FRICTION
         noises, flags, sums = np.ones((4, *pair)), np.zeros((2, *pair), bool), np.zeros((3, *pair))
@@ -108,7 +101,7 @@ class SensorSupervision:
             self._first_readings(rows, self._read[0, rows], self._pressure[0, rows])
         self._steady = np.where(steady & ~early, self._steady + 1, 0)
         _supervise(
-            self._numbers, self._period, self._leak, self._drag, self._read, self._pressure, torque, valve_flow, self._steady,
+            self.settings, self._period, self._leak, self._drag, self._read, self._pressure, torque, valve_flow, self._steady,
             self.state,
         )  # fmt: skip
         return self.state.speed.copy()

@@ -7,29 +7,26 @@ gain. Positions and commands are shares of the rated command, flows of the rated
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import TUNED, Floats
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
-from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 
 
-@dataclass(frozen=True)
-class SpoolSettings:
+class SpoolSettings(NamedTuple):
     """The modelled spool and what lies before and behind it."""
 
-    rate: float = setting(SPOOL_RATE, "1/s", "rate of the undamped spool's mode", "Table II")
-    damping: float = setting(0.03, "1", "damping ratio", "assumed: back-EMF and viscous friction")
-    friction: float = setting(0.85, "1", "Coulomb friction relative to the nominal stiction", TUNED)
-    substep: float = setting(1.25e-3, "s", "step of the model", "a 24th of the spool's period")
-    coil: float = setting(1e-3, "s", "time constant of the coil", "L / R, Table II")
-    pressure_lag: float = setting(5e-4, "s", "lag of the pressure behind the flow", "V / (beta Km)")
-    stop: float = setting(1.16, "1", "end stops, in rated travels", "1 mm of the nominal valve")
+    rate: Annotated[float, "1/s", "rate of the undamped spool's mode", "Table II"] = SPOOL_RATE
+    damping: Annotated[float, "1", "damping ratio", "assumed: back-EMF and viscous friction"] = 0.03
+    friction: Annotated[float, "1", "Coulomb friction relative to the nominal stiction", TUNED] = 0.85
+    substep: Annotated[float, "s", "step of the model", "a 24th of the spool's period"] = 1.25e-3
+    coil: Annotated[float, "s", "time constant of the coil", "L / R, Table II"] = 1e-3
+    pressure_lag: Annotated[float, "s", "lag of the pressure behind the flow", "V / (beta Km)"] = 5e-4
+    stop: Annotated[float, "1", "end stops, in rated travels", "1 mm of the nominal valve"] = 1.16
 
 
 class Channel(NamedTuple):
@@ -100,9 +97,8 @@ class SpoolModel:
     def move(self, command: Floats, edge: Floats, gain: Floats) -> None:
         """One control period under held commands (num_rigs, 2), behind valves with these edges and gains."""
         held = np.ascontiguousarray(command, dtype=float)
-        follow(
-            self.position, self.speed, self.coil, self.ringing, self.unsampled, held, edge, gain, self.channel
-        )
+        state = self.position, self.speed, self.coil, self.ringing, self.unsampled
+        follow(*state, held, edge, gain, self.channel)
 
 
 @compiled

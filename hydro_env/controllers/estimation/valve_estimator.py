@@ -10,42 +10,36 @@ pins it down, and an extended Kalman filter refines it. Both directions share th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats, Rows
+from hydro_env.controllers.base import HAND, TUNED, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING
 from hydro_env.controllers.estimation.spool import SpoolModel
-from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 
-@dataclass(frozen=True)
-class ValveSettings:
+class ValveSettings(NamedTuple):
     """Prior, random walks and noise of the estimate."""
 
-    nearest: float = setting(0.04, "1", "most of an edge on the other side", "null offsets to 30 um")
-    farthest: float = setting(0.26, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um")
-    gain: float = setting(0.82, "1", "mean flow gain of this type", "Kq 0.65 to 1 of the nominal one")
-    gain_scatter: float = setting(0.12, "1", "its standard deviation", "the same range, and that of R")
-    drift: float = setting(0.03, "1/sqrt(s)", "random walk of the edge, which friction shifts", TUNED)
-    gain_drift: float = setting(0.004, "1/sqrt(s)", "random walk of the gain", TUNED)
-    still: float = setting(0.0165, "1", "standard deviation of a resting spool's modelled position", TUNED)
-    moving: float = setting(0.06, "1", "and per amplitude of its swing", TUNED)
-    first: float = setting(0.0065, "1", "standard deviation of an edge at the first flow seen there", TUNED)
-    moved: float = setting(0.1, "1", "swing at which the walks have full pace: friction shifts edges", TUNED)
-    idle: float = setting(0.05, "1", "share of that pace at which they go on while the spool rests", TUNED)
-    unused: float = setting(0.02, "1/sqrt(s)", "random walk of the edge of the other direction", TUNED)
-    stale: float = setting(0.02, "1", "standard deviation where forgetting that edge ends", "4 um of travel")
-    before: float = setting(inf, "1", "no flow is believed farther before an edge, or what passed", HAND)
-    noise: float = setting(FLOW_NOISE, "1", "standard deviation of the measured flow", "sensors, eq. (1)")
-
-
-ValveNumbers: Any = numbers_of(ValveSettings)
+    nearest: Annotated[float, "1", "most of an edge on the other side", "null offsets to 30 um"] = 0.04
+    farthest: Annotated[float, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um"] = 0.26  # fmt: skip
+    gain: Annotated[float, "1", "mean flow gain of this type", "Kq 0.65 to 1 of the nominal one"] = 0.82
+    gain_scatter: Annotated[float, "1", "its standard deviation", "the same range, and that of R"] = 0.12
+    drift: Annotated[float, "1/sqrt(s)", "random walk of the edge, which friction shifts", TUNED] = 0.03
+    gain_drift: Annotated[float, "1/sqrt(s)", "random walk of the gain", TUNED] = 0.004
+    still: Annotated[float, "1", "standard deviation of a resting spool's modelled position", TUNED] = 0.0165
+    moving: Annotated[float, "1", "and per amplitude of its swing", TUNED] = 0.06
+    first: Annotated[float, "1", "standard deviation of an edge at the first flow seen there", TUNED] = 0.0065
+    moved: Annotated[float, "1", "swing at which the walks have full pace: friction shifts edges", TUNED] = 0.1  # fmt: skip
+    idle: Annotated[float, "1", "share of that pace at which they go on while the spool rests", TUNED] = 0.05
+    unused: Annotated[float, "1/sqrt(s)", "random walk of the edge of the other direction", TUNED] = 0.02
+    stale: Annotated[float, "1", "standard deviation where forgetting that edge ends", "4 um of travel"] = 0.02  # fmt: skip
+    before: Annotated[float, "1", "no flow is believed farther before an edge, or what passed", HAND] = inf
+    noise: Annotated[float, "1", "standard deviation of the measured flow", "sensors, eq. (1)"] = FLOW_NOISE
 
 
 class ValveState(NamedTuple):
@@ -66,7 +60,7 @@ class ValveEstimator:
     """Holds a `ValveState` in `state`, whose arrays keep their place; at first what is known of any valve of this type."""
 
     def __init__(self, settings: ValveSettings, num_rigs: int, period: float) -> None:
-        self.settings, self._period, self._numbers = settings, period, numbers(ValveNumbers, settings)
+        self.settings, self._period = settings, period
         prior, pair, each = settings, (num_rigs, 2), (num_rigs, 2, 2)
         span = prior.farthest + prior.nearest
         self.state = ValveState(
@@ -109,7 +103,7 @@ class ValveEstimator:
         flowing = FLOWING * noise if flowing is None else flowing
         shown = spool.shown
         lag = spool.position - shown
-        _update(self._numbers, self._period, shown, spool.ringing, flow, noise, flowing, self.state)
+        _update(self.settings, self._period, shown, spool.ringing, flow, noise, flowing, self.state)
         spool.position[:] = shown + lag
 
 

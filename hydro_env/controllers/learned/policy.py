@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import Floats, Policy, make_interface
-from hydro_env.errors import InputError, located, shown, suggestion
+from hydro_env.errors import InputError, check_known
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
@@ -41,10 +41,7 @@ ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "relu": lambda x: np.maximum(x, 0.0),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
 }
-SQUASHES: dict[str, Callable[[Floats], Floats]] = {
-    "clip": lambda x: np.clip(x, -1.0, 1.0),
-    "tanh": np.tanh,
-}
+SQUASHES: dict[str, Callable[[Floats], Floats]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
 
 class Dense(NamedTuple):
@@ -150,9 +147,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
         arrays = _arrays(path)
     except Exception as problem:  # zip, deflate and npy each have their own errors for what is damaged
         reason = f"{type(problem).__name__}: {problem}"
-        raise InputError(
-            f"{path}: is no policy file, it should be an npz of plain arrays (hydro_env.training.export); {reason}"
-        ) from None
+        raise InputError(f"{path}: is no policy file, an npz of plain arrays; {reason}") from None
     if "metadata" not in arrays:
         raise InputError(f"{path}: has no 'metadata'; a policy file is written by hydro_env.training.export")
     text = arrays.pop("metadata")
@@ -163,9 +158,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     if not isinstance(metadata, dict) or metadata.get("schema") != schema:
         raise InputError(f"{path}: 'metadata' should say schema {schema!r}")
     for key, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
-        named = metadata.get(key)
-        if not isinstance(named, str) or named not in known:
-            raise InputError(f"{path}: {key} {shown(named)} is unknown: {suggestion(named, known)}")
+        check_known(f"{path}: unknown {key}", [metadata.get(key)], list(known))
     return Network(_layers(path, arrays), metadata["activation"], metadata["squash"]), metadata
 
 
@@ -220,14 +213,11 @@ class NumpyPolicy(Policy):
         network, self.metadata = read_policy(path)
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
-        with located(f"{path}: interface"):
-            self.interface = make_interface(self.metadata.get("interface"))
+        self.interface = make_interface(self.metadata.get("interface"), f"{path}: interface")
+        found = self.network.num_inputs, self.network.num_outputs
         wanted = self.interface.num_features, self.interface.num_actions
-        if (self.network.num_inputs, self.network.num_outputs) != wanted:
-            raise InputError(
-                f"{path}: the network takes {self.network.num_inputs} inputs and gives {self.network.num_outputs} "
-                f"outputs, its interface wants {wanted[0]} and {wanted[1]}"
-            )
+        if found != wanted:
+            raise InputError(f"{path}: the network has {found} inputs and outputs, the interface {wanted}")
         self.trained_period = _trained_period(self.metadata)
         self.reset(1, self.trained_period)
 

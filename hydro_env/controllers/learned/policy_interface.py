@@ -5,50 +5,35 @@ In training the environment does the same by its arguments `history`, `increment
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, StrictBool
 
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.observation import ERRORS, FRAME, with_errors
-from hydro_env.errors import InputError, shown
-from hydro_env.limits import Limits
-
-#: What the keys of an interface's table may be, beside `kind` and `errors`; `width` is that of an observation.
-LIMITS = {
-    "frames": Limits(1, 999, whole=True),
-    "width": Limits(FRAME, FRAME, whole=True),
-    "increment": Limits(0.0, 2.0),
-}
+from hydro_env.validation import Count, FileTable, Number, checked
 
 Floats = NDArray[np.floating[Any]]
 
 
-def make_interface(table: Any) -> FramesInterface:
-    """An interface from its table in a policy or training file, `{"kind": "frames", ...}`; the plain observation without any.
+class InterfaceTable(FileTable):
+    """The table of an interface in a policy or training file; `width` is that of an observation."""
 
-    InputError for anything that is not right.
-    """
-    if table is not None and not isinstance(table, Mapping):
-        raise InputError(f"should be a table with a key 'kind', found {type(table).__name__}")
-    given = dict(table or {"kind": "frames"})
-    kind = given.pop("kind", None)
-    if kind != "frames":
-        raise InputError(f"kind {shown(kind)} is unknown; there is frames")
-    errors = given.pop("errors", False)
-    if not isinstance(errors, bool):
-        raise InputError(f"errors {shown(errors)} should be true or false")
-    for key, value in given.items():
-        if key not in LIMITS:
-            raise InputError(
-                f"{shown(key)} is unknown; known for kind 'frames' are {', '.join(LIMITS)}, errors"
-            )
-        given[key] = LIMITS[key].check(value, key)
-    given.pop("width", None)
-    return FramesInterface(**given, errors=errors)
+    kind: Literal["frames"] = "frames"
+    frames: Annotated[Count, Field(le=999)] = 1
+    width: Annotated[Count, Field(ge=FRAME, le=FRAME)] = FRAME
+    increment: Annotated[Number, Field(ge=0.0, le=2.0)] = 0.0
+    errors: StrictBool = False
+
+
+def make_interface(table: Any, where: str = "interface") -> FramesInterface:
+    """An interface from its table in a policy or training file; the plain observation without any. InputError, which begins with
+    `where`, for anything that is not right."""
+    given = checked(InterfaceTable, {} if table is None else table, where)
+    return FramesInterface(given.frames, given.increment, given.errors)
 
 
 @dataclass
@@ -121,22 +106,17 @@ class Policy:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode; `control_period` in s."""
-        self._num_rigs, self._fresh = int(num_rigs), True
+        self._fresh = True
         self.memory: list[Floats] = []
         self._every = max(1, round((self.trained_period or control_period) / control_period))
-        self.guard = InputGuard(self._num_rigs, control_period)
+        self.guard = InputGuard(int(num_rigs), control_period)
 
     @guarded
     def act(self, observation: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
-        observation = np.asarray(observation)
-        if observation.ndim != 2 or len(observation) != self._num_rigs:
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
-            )
         if self._fresh:
             self._held = self.interface.command(self.outputs(self.interface.start(observation), True))
-            self._fresh, self._ago = False, np.zeros((self._num_rigs, 1), int)
+            self._fresh, self._ago = False, np.zeros((len(observation), 1), int)
             return self._held
         seen, memory = self.interface.seen, list(self.memory)
         command = self.interface.command(self.outputs(self.interface.see(observation), False))

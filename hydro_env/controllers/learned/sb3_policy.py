@@ -38,14 +38,11 @@ class Sb3Policy(Policy):
         changes = INCREMENT.check(increment, f"{path}: increment") if increment else 0.0
         policy = _kind_of_policy(path)
         if not trust:
-            raise InputError(
-                f"{path}: holds pickled objects, so that loading it runs code from the file; with --trust it is loaded"
-            )
+            raise InputError(f"{path}: is a pickle, which runs code when it is loaded; with --trust it is")
         self._model = _algorithm(path, policy).load(path, device="cpu")
-        observed, acted = self._model.observation_space.shape, self._model.action_space.shape
-        widths = [
-            n for n in (FRAME, FRAME + ERRORS) if observed and len(observed) == 1 and not observed[0] % n
-        ]
+        observed: tuple[int, ...] = self._model.observation_space.shape or ()
+        acted = self._model.action_space.shape
+        widths = [n for n in (FRAME, FRAME + ERRORS) if len(observed) == 1 and not observed[0] % n]
         if not widths or acted != (2,):
             raise InputError(
                 f"{path}: observations {observed} and actions {acted} are not those of HydraulicSync-v0: "
@@ -65,9 +62,7 @@ class Sb3Policy(Policy):
     def outputs(self, inputs: Floats, fresh: bool) -> Floats:
         state = None if fresh else self._state
         begun = np.full(len(inputs), fresh)
-        action, self._state = self._model.predict(
-            inputs, state=state, episode_start=begun, deterministic=True
-        )
+        action, self._state = self._model.predict(inputs, state, begun, deterministic=True)
         return np.asarray(action, dtype=float)
 
 

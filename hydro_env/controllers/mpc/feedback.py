@@ -7,19 +7,17 @@ recognised, so that it can be answered without delay.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Bools, Floats
-from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
+from hydro_env.controllers.base import TUNED, Bools, Floats
+from hydro_env.controllers.estimation.estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -29,28 +27,24 @@ SLOW = 20.0 * RPM
 """Speed below which there is no saying which way a spool stops short, rad/s; set by hand."""
 
 
-@dataclass(frozen=True)
-class FeedbackSettings:
+class FeedbackSettings(NamedTuple):
     """Gains on the errors, delays, and what counts as a sudden load."""
 
-    track: float = setting(11.0, "1/s", "acceleration per error to the reference", TUNED)
-    couple: float = setting(47.0, "1/s", "acceleration per half of the speed difference", TUNED)
-    settle: float = setting(
-        0.0, "1/s", "pace at which flow takes out what lasts of that error", "the gain above does"
-    )
-    delay: float = setting(0.016, "s", "from a flow asked for to the speed it gives", TUNED)
-    lead: float = setting(0.66, "10 ms", "how far ahead the speed difference is predicted", TUNED)
-    late: float = setting(0.8, "1", "a delay of n periods divides the gains by 1 + late n", TUNED)
-    jump: float = setting(0.15, "N m", "half of the difference of two misses that is a sudden load", TUNED)
+    track: Annotated[float, "1/s", "acceleration per error to the reference", TUNED] = 11.0
+    couple: Annotated[float, "1/s", "acceleration per half of the speed difference", TUNED] = 47.0
+    settle: Annotated[
+        float, "1/s", "pace at which flow takes out what lasts of that error", "the gain above does"
+    ] = 0.0
+    delay: Annotated[float, "s", "from a flow asked for to the speed it gives", TUNED] = 0.016
+    lead: Annotated[float, "10 ms", "how far ahead the speed difference is predicted", TUNED] = 0.66
+    late: Annotated[float, "1", "a delay of n periods divides the gains by 1 + late n", TUNED] = 0.8
+    jump: Annotated[float, "N m", "half of the difference of two misses that is a sudden load", TUNED] = 0.15
 
 
 class FeedbackNumbers(NamedTuple):
-    """The same for a motor and a control period."""
+    """What follows from them for a motor and a control period."""
 
-    track: float
-    couple: float
     settle: float
-    late: float
     jump: float
     gain: float  # what a longer period leaves of the gains
     mode: bool
@@ -96,9 +90,9 @@ class Feedback:
         whole = int(settings.delay / period)
         self.remembered = whole + 2 + MAX_DELAY
         """References that the error looks back on."""
-        self._channel = channel
+        self._settings, self._channel = settings, channel
         self._numbers = FeedbackNumbers(
-            settings.track, settings.couple, settings.settle * period, settings.late,
+            settle=settings.settle * period,
             # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
             jump=settings.jump * max(1.0, TUNED_PERIOD / period), gain=min(1.0, TUNED_PERIOD / period),
             mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
@@ -130,7 +124,18 @@ class Feedback:
         self._wanted = np.concatenate([wanted[None], self._wanted[:-1]])
         f, speed = self.state, np.ascontiguousarray(speed)
         _sudden(self._numbers, motors.miss, noise, probing, f)
-        _ask(self._numbers, self._channel, speed, motors, delay, self._wanted, self._before, reference, f)
+        _ask(
+            self._settings,
+            self._numbers,
+            self._channel,
+            speed,
+            motors,
+            delay,
+            self._wanted,
+            self._before,
+            reference,
+            f,
+        )
         self._before[:] = reference.acceleration
 
 
@@ -144,7 +149,7 @@ def _sudden(s, miss, noise, probing, f):
 
 
 @compiled
-def _ask(s, m, speed, motors, delay, wanted, before, r, f):
+def _ask(w, s, m, speed, motors, delay, wanted, before, r, f):
     ahead, torque, pressure = np.empty(2), motors.torque, motors.pressure
     for i in range(delay.size):
         for c in range(2):
@@ -152,13 +157,13 @@ def _ask(s, m, speed, motors, delay, wanted, before, r, f):
         mean = (speed[i, 0] + speed[i, 1]) / 2.0
         at = s.whole + delay[i]  # the reference `delay` ago
         f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - mean
-        gain = s.gain / (1.0 + s.late * delay[i])
+        gain = s.gain / (1.0 + w.late * delay[i])
         way = r.speed[i] / (abs(r.speed[i]) + SLOW)
-        f.short[i] += s.settle / (1.0 + s.late * delay[i]) * way * f.behind[i]
+        f.short[i] += s.settle / (1.0 + w.late * delay[i]) * way * f.behind[i]
         held = r.speed[i] + way * f.short[i]
         for c in range(2):
             f.apart[i, c] = 0.5 * (ahead[c] - ahead[1 - c])
-            faster = r.acceleration[i] + gain * (s.track * f.behind[i] - s.couple * f.apart[i, c])
+            faster = r.acceleration[i] + gain * (w.track * f.behind[i] - w.couple * f.apart[i, c])
             f.flow[i, c] = (
                 m.per_speed * held + m.per_acceleration * faster + m.per_torque * torque[i, c]
             ) + (s.swell * (r.acceleration[i] - before[i]) - s.damp * pressure[i, c])

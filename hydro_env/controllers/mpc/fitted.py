@@ -18,43 +18,28 @@ from hydro_env.controllers.estimation.estimator import EstimatorSettings
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, STICTION, Motor
 from hydro_env.controllers.estimation.spool import SpoolSettings
 from hydro_env.controllers.estimation.valve_estimator import ValveSettings
-from hydro_env.controllers.mpc.crossing import CrossingSettings
+from hydro_env.controllers.mpc.edge_search import CrossingSettings, ProbingSettings
 from hydro_env.controllers.mpc.feedback import FeedbackSettings
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
-from hydro_env.controllers.mpc.probing import ProbingSettings
 from hydro_env.controllers.mpc.reference import ReferenceSettings
 from hydro_env.plant import PlantModel, Scales, scales_of
 from hydro_env.plant.parameters import SUPPLY_PRESSURE
 from hydro_env.plant.scales import rated
 
-SHARES = {
-    "settle": 0.2,
-    "damp": 0.4,
-    "track": 0.2,
-    "couple": 0.5,
-    "lead": 0.7,
-    "rate": 0.3,
-    "rise": 0.2,
-    "push": 0.85,
-}
-"""Shares of what is possible that are used: of the damping, of the largest feedback on both errors, of the delay that the speed
-difference is predicted over, of the motor's own rate for the reference and for the rise of flow, and of the supply's pressure.
-Set on drawn rigs."""
+DAMP, SETTLE, TRACK, COUPLE = 0.4, 0.2, 0.2, 0.5
+"""Shares of what is possible that are used: of the damping by the pressure's feedback, of the rate at which what lasts of an
+error is taken out, and of the largest feedback on both errors. Set on drawn rigs, as the next ones are."""
+LEAD, RATE, RISE, PUSH = 0.7, 0.3, 0.2, 0.85
+"""Likewise of the delay that the speed difference is predicted over, of the motor's own rate for the reference and for the rise
+of flow, and of the supply's pressure."""
 GENTLE = 5.0
 """Rated speeds a second that no reference exceeds; set on drawn rigs."""
 RINGS = 0.3
 """Damping ratio of a spool below which commands are averaged."""
 
 VALVES = ValveSettings(
-    before=0.03,
-    drift=0.0247,
-    gain_drift=0.0085,
-    still=0.016,
-    moving=0.346,
-    first=0.0056,
-    idle=1.0,
-    unused=0.0,
-)
+    before=0.03, drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0,
+)  # fmt: skip
 PROBING = ProbingSettings(led=False, detect=0.0047, patience=0.0)
 CROSSING = CrossingSettings(known=0.0135, search=3.0)
 """Estimation and probing of valves whose spools the model knows too roughly to lead them. Found by an evolution strategy on
@@ -83,25 +68,25 @@ def settings_of(model: PlantModel, period: float) -> FlowSettings:
     late += max(model.pair("command_delay.delay")) + max(model.pair("sensor_lag.time_constant"))
     oil = 1e-12 * motor.compliance
     swings = NOMINAL["D"] / sqrt(NOMINAL["J"] * oil)  # rates in 1/s: of the motor against the oil,
-    answer = SHARES["damp"] / late * max(cos(min(swings * late, pi)), 0.0)  # of the pressure by its feedback,
+    answer = DAMP / late * max(cos(min(swings * late, pi)), 0.0)  # of the pressure by its feedback,
     settles = answer + motor.leakage * NOMINAL["Km"] / oil  # and with the leakage
-    motor = replace(motor, damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
+    motor = motor._replace(damping=answer * oil / NOMINAL["Km"], mode=0.0 if answer else 0.23 * swings)
     most = _max_feedback(settles, swings, late)
-    push = SHARES["push"] * motor.supply * NOMINAL["D"] / NOMINAL["J"]
+    push = PUSH * motor.supply * NOMINAL["D"] / NOMINAL["J"]
     return FlowSettings(
         motor=motor,
         estimator=EstimatorSettings(spool=spool, valves=VALVES),
         reference=ReferenceSettings(
-            rate=min(SHARES["rate"] * max(settles, swings), 42.0, 0.8 / late),
-            rise=min(SHARES["rise"] * settles, 28.0), fall=2.0, doubt=2.9, foresight=0.0,
+            rate=min(RATE * max(settles, swings), 42.0, 0.8 / late),
+            rise=min(RISE * settles, 28.0), fall=2.0, doubt=2.9, foresight=0.0,
             most=min(push, GENTLE * RATED_FLOW / NOMINAL["D"]),
         ),
         probing=PROBING,
         crossing=CROSSING,
         feedback=FeedbackSettings(
-            settle=SHARES["settle"] * min(settles, 1.0 / late),
-            track=min(SHARES["track"] * most, 30.0), couple=min(SHARES["couple"] * most, 60.0), delay=late,
-            lead=SHARES["lead"] * late / 0.01, late=0.78,
+            settle=SETTLE * min(settles, 1.0 / late),
+            track=min(TRACK * most, 30.0), couple=min(COUPLE * most, 60.0), delay=late,
+            lead=LEAD * late / 0.01, late=0.78,
         ),
         planner=None,
         shaped=shaped,

@@ -16,6 +16,7 @@ from typing import ClassVar
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import FromTheBench
+from hydro_env.controllers.mpc.edge_search import ProbingSettings
 from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.plant import PlantModel, Scales
@@ -24,17 +25,11 @@ SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
 reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part."""
 
-RATE = Gain(
-    "rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which the reference runs to the set-point"
-)
+RATE = Gain("rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which a reference runs to the set-point")
 RISE = Gain("rise", "1/s", 3.0, 60.0, default=28.0, summary="rated flows a second by which flow may rise")
 FALL = Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall")
-SWEEP = Gain(
-    "sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of the spools when probing, commands a second"
-)
-SEARCH = Gain(
-    "search", "1/s", 1.0, 20.0, default=9.3, summary="pace of the spools when crossing an unknown dead zone"
-)
+SWEEP = Gain("sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of spools when probing, commands a second")
+SEARCH = Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace of spools when crossing a dead zone")
 
 
 PARTS = {"reference": ("rate", "rise", "fall"), "probing": ("sweep",), "crossing": ("search",)}
@@ -60,9 +55,6 @@ class ProbingFlow(Controller):
     def units_for(self, model: PlantModel) -> Scales:
         return units_of(model)
 
-    def start(self, measured: Measurements) -> None:
-        self.law = self._begun(measured)
-
     def take_in(self, measured: Measurements) -> None:
         if self.allowed != Controller.allowed:  # what was sent is not what the law asked for
             self.law.sent = measured.command
@@ -71,24 +63,22 @@ class ProbingFlow(Controller):
     def command(self, measured: Measurements) -> Floats:
         return self.law.command()
 
-    def _begun(self, measured: Measurements) -> FlowController:
-        """The law with these gains, after the first measurements."""
+    def start(self, measured: Measurements) -> None:
         s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
         if self._model is not None:
             own = settings_of(self._model, self.period)
-            s = replace(own, probing=replace(own.probing, active=s.probing.active))
+            s = own._replace(probing=own.probing._replace(active=s.probing.active))
             gains = {g.name: gains[g.name] for g in self.GAINS if gains[g.name] != g.default}
 
         parts = {
-            part: replace(getattr(s, part), **{name: gains[name] for name in names if name in gains})
+            part: getattr(s, part)._replace(**{name: gains[name] for name in names if name in gains})
             for part, names in PARTS.items()
         }
-        law = FlowController(replace(s, **parts))
-        law.start(measured, self.period)
-        return law
+        self.law = FlowController(s._replace(**parts))
+        self.law.start(measured, self.period)
 
 
-NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))
+NO_PROBING = FlowSettings(probing=ProbingSettings(active=False))
 
 
 class AdaptiveFlow(ProbingFlow):
@@ -96,7 +86,7 @@ class AdaptiveFlow(ProbingFlow):
 
     # chosen on 60 pairs of `train` by the cost that gains are tuned for
     GAINS = (replace(RATE, default=30.0), replace(RISE, default=20.0), FALL, SEARCH)
-    settings = replace(NO_PROBING, planner=None)
+    settings = NO_PROBING._replace(planner=None)
 
 
 class BenchFlow(FromTheBench, ProbingFlow):
@@ -105,7 +95,6 @@ class BenchFlow(FromTheBench, ProbingFlow):
     GAINS = (RATE, RISE, FALL)
     settings = NO_PROBING
 
-    def _begun(self, measured: Measurements) -> FlowController:
-        law = super()._begun(measured)
-        law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
-        return law
+    def start(self, measured: Measurements) -> None:
+        super().start(measured)
+        self.law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)

@@ -17,7 +17,7 @@ Where a speed sensor is poor, while a rig probes or crosses, and at control peri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -25,12 +25,10 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD, Motor
 from hydro_env.controllers.input_shaping import InputShaper
-from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
+from hydro_env.controllers.mpc.edge_search import Crossing, CrossingSettings, Probing, ProbingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
-from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings, capacity
-from hydro_env.controllers.settings import setting
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 
@@ -38,18 +36,17 @@ BLEND = 0.01
 """Flow below which the jump over the dead zone is a ramp: just above what counts as flow."""
 
 
-@dataclass(frozen=True)
-class FlowSettings:
+class FlowSettings(NamedTuple):
     """Settings of the parts; without a planner, commands are averaged throughout."""
 
-    motor: Motor = field(default_factory=Motor)
-    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
-    reference: ReferenceSettings = field(default_factory=ReferenceSettings)
-    probing: ProbingSettings = field(default_factory=ProbingSettings)
-    crossing: CrossingSettings = field(default_factory=CrossingSettings)
-    feedback: FeedbackSettings = field(default_factory=FeedbackSettings)
-    planner: PlannerSettings | None = field(default_factory=PlannerSettings)
-    shaped: bool = setting(True, "", "whether commands are averaged: a well-damped spool does not ring")
+    motor: Motor = Motor()
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference: ReferenceSettings = ReferenceSettings()
+    probing: ProbingSettings = ProbingSettings()
+    crossing: CrossingSettings = CrossingSettings()
+    feedback: FeedbackSettings = FeedbackSettings()
+    planner: PlannerSettings | None = PlannerSettings()
+    shaped: Annotated[bool, "", "whether commands are averaged: a well-damped spool does not ring"] = True
 
 
 class FlowController:

@@ -65,9 +65,7 @@ class Oracle(Controller):
 
     def start(self, measured: Measurements) -> None:
         if not (hasattr(self, "_twin") and hasattr(self, "_load")):
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) and foresee(load) before the episode: it needs the true plant"
-            )
+            raise RuntimeError(f"{self.name} needs prepare(plant) and foresee(load) before the episode")
         twin, n = self._twin, len(measured.speed)
         get = twin.get
         self._rated = get("u_rated")

@@ -15,16 +15,13 @@ worked on by itself: a row of a batch gets bit for bit what it would get alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED, Bools, Floats
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
-from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -40,27 +37,23 @@ STUCK, AWAY = 0.6, 10.0 * RPM
 """A plan that leaves this share of a larger distance from the aim is restarted from the plan of the feedback."""
 
 
-@dataclass(frozen=True)
-class PlannerSettings:
+class PlannerSettings(NamedTuple):
     """Weights beside a weight of 1 for the squared distance from the aim (rad/s)."""
 
-    apart: float = setting(300.0, "1", "of the squared speed difference", TUNED)
-    moves: float = setting(650.0, "rad2/s2", "of the squared moves of a command", TUNED)
-    swing: float = setting(3000.0, "rad2/s2", "of the squared swing at the end", TUNED)
-    soft_limit: float = setting(
-        14.0 * RPM, "rad/s", "speed difference beyond which its cost grows faster than its square", TUNED
-    )
-    turns: int = setting(3, "1", "steps of Gauss and Newton a period", HAND)
-    behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
-    ahead: float = setting(30.0 * RPM, "rad/s", "no farther are the speeds asked to move at once", TUNED)
-    wrong: float = setting(2e-4, "1", "mean square innovation that doubles the moves' weight", TUNED)
-    memory: float = setting(0.1, "1", "share of a new square in that mean", TUNED)
-    worst: float = setting(0.02, "1", "most that one square counts", TUNED)
-    heaviest: float = setting(6.0, "1", "largest factor on the moves' weight", TUNED)
-    noisiest: float = setting(4.0, "1", "noise of a speed up to which commands are planned, of usual", TUNED)
-
-
-PlannerNumbers: Any = numbers_of(PlannerSettings)
+    apart: Annotated[float, "1", "of the squared speed difference", TUNED] = 300.0
+    moves: Annotated[float, "rad2/s2", "of the squared moves of a command", TUNED] = 650.0
+    swing: Annotated[float, "rad2/s2", "of the squared swing at the end", TUNED] = 3000.0
+    soft_limit: Annotated[
+        float, "rad/s", "speed difference beyond which its cost grows faster than its square", TUNED
+    ] = 14.0 * RPM
+    turns: Annotated[int, "1", "steps of Gauss and Newton a period", HAND] = 3
+    behind: Annotated[float, "periods", "how long after the reference the speeds are to follow", TUNED] = 1.95
+    ahead: Annotated[float, "rad/s", "no farther are the speeds asked to move at once", TUNED] = 30.0 * RPM
+    wrong: Annotated[float, "1", "mean square innovation that doubles the moves' weight", TUNED] = 2e-4
+    memory: Annotated[float, "1", "share of a new square in that mean", TUNED] = 0.1
+    worst: Annotated[float, "1", "most that one square counts", TUNED] = 0.02
+    heaviest: Annotated[float, "1", "largest factor on the moves' weight", TUNED] = 6.0
+    noisiest: Annotated[float, "1", "noise of a speed up to which commands are planned, of usual", TUNED] = 4.0  # fmt: skip
 
 
 class Scene(NamedTuple):
@@ -105,8 +98,7 @@ class Planner:
 
     def __init__(self, settings: PlannerSettings, sent: Floats, channel: Channel) -> None:
         """The command `sent` (num_rigs, 2) goes on at first."""
-        self.settings, self._numbers = settings, numbers(PlannerNumbers, settings)
-        self._channel, self._work = channel, Work.of(channel.steps)
+        self.settings, self._channel, self._work = settings, channel, Work.of(channel.steps)
         self.plan, self._mean = np.stack([sent] * HORIZON, axis=-1), np.zeros(len(sent))
 
     def step(self, planned: Bools, plain: Floats, scene: Scene) -> Floats:
@@ -115,7 +107,7 @@ class Planner:
         self.plan[..., :-1] = self.plan[..., 1:].copy()
         self.plan[~planned] = plain[~planned, :, :1]
         rows = np.flatnonzero(planned)
-        improve_plans(self.plan, plain, rows, scene, self._numbers, self._channel, self._work)
+        improve_plans(self.plan, plain, rows, scene, self.settings, self._channel, self._work)
         return np.where(planned[:, None], self.plan[..., 0], plain[..., 0])
 
     def move_weights(self, innovation: Floats, acceleration: Floats) -> Floats:
@@ -280,6 +272,29 @@ def _of_commands(plan, c, sent, moves, swing, m, work):
 
 
 @compiled
+def solve_positive_definite(matrix, x, n):
+    """Replaces x (n,), the right-hand side, by the solution, and the lower triangle of the matrix (n, n), which alone is read, by
+    its Cholesky factor. A pivot of 1e-12 takes the place of one that is not positive. (Numba's own solver needs a BLAS, which an
+    exported controller does not have.)"""
+    for p in range(n):
+        for q in range(p + 1):
+            rest = matrix[p, q]
+            for k in range(q):
+                rest -= matrix[p, k] * matrix[q, k]
+            matrix[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / matrix[q, q]
+    for p in range(n):
+        rest = x[p]
+        for k in range(p):
+            rest -= matrix[p, k] * x[k]
+        x[p] = rest / matrix[p, p]
+    for p in range(n - 1, -1, -1):
+        rest = x[p]
+        for k in range(p + 1, n):
+            rest -= matrix[k, p] * x[k]
+        x[p] = rest / matrix[p, p]
+
+
+@compiled
 def _copy(source, plan):
     """Copies a plan (2, H) into another: one by one, since for `plan[:] = source` Numba compiles texts of errors for seconds."""
     for c in range(2):
@@ -319,7 +334,7 @@ def _improve(plan, i, cost, s, w, m, work):
 @compiled
 def improve_plans(plans, plain, rows, s, w, m, work):
     """Improves the plans (N, 2, H) of the rigs `rows`, in place. plain (N, 2, H): another plan to begin with, where it is better.
-    s: `Scene`, w: `PlannerNumbers`, m: `Channel`, work: `Work`."""
+    s: `Scene`, w: `PlannerSettings`, m: `Channel`, work: `Work`."""
     for i in rows:
         plan, now = plans[i], 0.5 * (s.motor[i, 0] + s.motor[i, 1])
         other = cost_of(plain[i], i, s, w, m, work)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED, Bools, Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.estimation.valve_estimator import ValveState
-from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -21,22 +19,16 @@ SMOOTH = 25.0 * RPM
 """Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms."""
 
 
-@dataclass(frozen=True)
-class ReferenceSettings:
+class ReferenceSettings(NamedTuple):
     """How the reference runs to the set-point."""
 
-    rate: float = setting(42.0, "1/s", "rate at which it runs to the set-point", TUNED)
-    rise: float = setting(28.0, "1/s", "how fast the flow may rise, rated flows a second", TUNED)
-    fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
-    doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
-    capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
-    most: float = setting(
-        inf, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"
-    )
-    foresight: float = setting(1.0, "1", "response times by which a smooth set-point is foreseen", HAND)
-
-
-ReferenceNumbers: Any = numbers_of(ReferenceSettings)
+    rate: Annotated[float, "1/s", "rate at which it runs to the set-point", TUNED] = 42.0
+    rise: Annotated[float, "1/s", "how fast the flow may rise, rated flows a second", TUNED] = 28.0
+    fall: Annotated[float, "1", "how many times as fast it may fall", TUNED] = 4.0
+    doubt: Annotated[float, "1", "an unknown gain divides that rise by 1 + doubt", TUNED] = 5.5
+    capacity: Annotated[float, "1", "share of the weaker valve's capacity that may be used", TUNED] = 0.94
+    most: Annotated[float, "rad/s2", "largest acceleration without load", "what the supply's pressure gives"] = inf  # fmt: skip
+    foresight: Annotated[float, "1", "response times by which a smooth set-point is foreseen", HAND] = 1.0
 
 
 class ReferenceState(NamedTuple):
@@ -57,7 +49,6 @@ class Reference:
     ) -> None:
         """Begins at the mean of both motors' speeds (num_rigs, 2); `setpoint` (num_rigs,). `remembered`: speeds that are kept."""
         self.settings, self._channel, period = settings, channel, channel.period
-        self._numbers = numbers(ReferenceNumbers, settings)
         # at longer periods more goes wrong before it is seen: flow rises by less
         self._growth = settings.rise * min(1.0, TUNED_PERIOD / period) ** 1.5 * period
         acceleration, flow, self._slope = np.zeros((3, len(setpoint)))
@@ -81,7 +72,7 @@ class Reference:
         """One period towards the set-point (num_rigs,). `speed`, `torque` (num_rigs, 2): of the motors. Where it `coasts`,
         it goes on as a motor without flow does, where it `rests`, at the motors' speed."""
         readings = np.ascontiguousarray(setpoint), np.ascontiguousarray(speed), torque
-        _step(self._numbers, self._growth, self._channel, *readings, valves, coasts, rests, self.state)
+        _step(self.settings, self._growth, self._channel, *readings, valves, coasts, rests, self.state)
 
 
 @compiled

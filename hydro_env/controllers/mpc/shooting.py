@@ -16,14 +16,13 @@ A row of a batch gets bit for bit what it would get alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
-from hydro_env.controllers.mpc.planner import CLOSED
+from hydro_env.controllers.mpc.planner import CLOSED, solve_positive_definite
 from hydro_env.jit import compiled
 
 HORIZON, SAMPLES = 5, 10
@@ -45,8 +44,7 @@ _COMPARED = slice(EVERY, None, EVERY)
 """... and the samples at which speeds are compared."""
 
 
-@dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """What plans of N rigs are to do, over H = HORIZON periods of SAMPLES samples.
 
     sent (N, 2): the command in force; setpoint (N, H + 1) in rad/s at the control instants; most (N, 2): largest command;
@@ -69,7 +67,7 @@ class Task:
 
     def of(self, rows: NDArray[np.int64]) -> Task:
         """That of some rigs."""
-        return Task(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Task(*(each[rows] for each in self))
 
 
 def cost(plan: Floats, motion: Floats, task: Task) -> Floats:

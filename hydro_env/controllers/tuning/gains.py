@@ -5,39 +5,32 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
 
 from hydro_env.files import write_json
+from hydro_env.limits import Limits
 from hydro_env.reading import read_json
-from hydro_env.validation import FileTable, checked
+from hydro_env.validation import FileTable, checked, two_numbers
 
 SCHEMA = "hydro_env/gains/1"
 
 
+#: A control period, s.
+PERIOD = Limits(1e-6, 10.0, unit="s")
+
+
 def _per_channel(value: Any) -> Any:
-    try:
-        numbers = np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        numbers = np.asarray(np.nan)
-    if numbers.shape not in ((), (2,)) or not np.all(np.isfinite(numbers)):
-        raise PydanticCustomError("gain", "Gain should be a number or a list of two (one per channel)")
+    two_numbers(value)
     return value
 
 
-def _period(value: Any) -> Any:
-    try:
-        fits = not isinstance(value, bool) and 0.0 < float(value) < 10.0
-    except (TypeError, ValueError, OverflowError):
-        fits = False
-    if not fits:
-        raise PydanticCustomError("period", "Period should be a control period in s, such as 0.005")
-    return value
+def _period(text: str) -> str:
+    PERIOD.read(text, "the control period")
+    return text
 
 
 def _tuned_at(tuning: dict[str, Any]) -> dict[str, Any]:
-    _period(tuning.get("control_period_s", 0.01))
+    PERIOD.check(tuning.get("control_period_s", 0.01), "control_period_s")
     return tuning
 
 
@@ -69,9 +62,7 @@ class GainsFile(FileTable):
     periods: dict[Annotated[str, AfterValidator(_period)], OtherPeriod] = Field(default_factory=dict)
 
     def by_period(self) -> dict[float, dict[str, Any]]:
-        """Gains by control period in s; empty where there is but one set."""
-        if not self.periods:
-            return {}
+        """Gains by control period in s."""
         own = {float(self.tuning.get("control_period_s", 0.01)): self.gains}
         return own | {float(period): dict(entry.gains) for period, entry in self.periods.items()}
 
@@ -81,8 +72,9 @@ def read_gains(path: str | Path) -> GainsFile:
     return checked(GainsFile, read_json(path, "a gains file in JSON"), path)
 
 
-def write_gains(path: str | Path, found: GainsFile) -> None:
-    """Writes a gains file atomically; makes its folder if need be."""
+def write_gains(path: str | Path, found: GainsFile) -> GainsFile:
+    """Writes a gains file atomically and returns it; makes its folder if need be."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     empty = {key for key in ("plant", "periods") if not getattr(found, key)}
     write_json(Path(path), {"schema": SCHEMA, **found.model_dump(exclude=empty)})
+    return found

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,10 +21,10 @@ from hydro_env.controllers.base import RPM, Floats
 from hydro_env.controllers.classical.pid import TABLE_III
 from hydro_env.controllers.linear_channel import linear_rates
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
-from hydro_env.errors import InputError
+from hydro_env.limits import Limits
 from hydro_env.plant import PlantModel, load_model
 
-MS = 1.3
+MS, MAX_SENSITIVITY = 1.3, Limits(1.05, 4.0)
 UNITS = {"Kp": "V/rpm", "Ti": "s", "Td": "s"}
 
 
@@ -68,15 +67,12 @@ def tune_channel(model: PlantModel, channel: int, max_sensitivity: float = MS) -
 
 def run(
     out: str | Path, *, plant: str = "paper", max_sensitivity: float = MS, name: str | None = None
-) -> dict[str, Any]:
+) -> GainsFile:
     """Tunes a PI on each channel of a plant and writes `out/gains.json`, with how near it comes to Table III.
 
-    Returns what gains.json says. InputError for a plant that is none, or an Ms outside 1.05 to 4.
+    Returns what gains.json says. InputError for a plant that is none, or an Ms beyond its limits.
     """
-    if not 1.05 <= max_sensitivity <= 4.0:
-        raise InputError(
-            f"--max-sensitivity {max_sensitivity:g}: the largest sensitivity must be between 1.05 and 4"
-        )
+    MAX_SENSITIVITY.check(max_sensitivity, "--max-sensitivity")
     model = load_model(plant)
     found = [tune_channel(model, channel, max_sensitivity) for channel in (0, 1)]
     gains = {key: [each[key] for each in found] for key in UNITS}
@@ -91,8 +87,7 @@ def run(
         "relative_to_table_iii": near,
     }
     file = GainsFile(name=name or "pid_linear", controller="pid", gains=gains, units=UNITS, tuning=tuning)
-    write_gains(Path(out) / "gains.json", file)
-    return {"controller": "pid", "gains": gains, "units": UNITS, "tuning": tuning}
+    return write_gains(Path(out) / "gains.json", file)
 
 
 def _with_integral(gains: Mapping[str, Sequence[float]]) -> dict[str, Floats]:
@@ -101,13 +96,13 @@ def _with_integral(gains: Mapping[str, Sequence[float]]) -> dict[str, Floats]:
     return {"Kp": kp, "Ti": ti, "Kp/Ti": kp / ti}
 
 
-def summary(found: dict[str, Any]) -> str:
+def summary(found: GainsFile) -> str:
     """What a run says: the gains beside those of Table III."""
-    tuning, off = found["tuning"], found["tuning"]["relative_to_table_iii"]
+    tuning, off = found.tuning, found.tuning["relative_to_table_iii"]
     lines = [f"largest sensitivity {tuning['max_sensitivity']:g}; Table III in brackets, difference to it"]
     for c in (0, 1):
         parts = [
-            f"{key} {found['gains'][key][c]:.4g} {UNITS[key]} ({TABLE_III[key][c]:g}) {100 * off[key][c]:+.0f} %"
+            f"{key} {found.gains[key][c]:.4g} {UNITS[key]} ({TABLE_III[key][c]:g}) {100 * off[key][c]:+.0f} %"
             for key in ("Kp", "Ti")
         ]
         parts += [f"Td 0 s ({TABLE_III['Td'][c]:g})", f"Kp/Ti {100 * off['Kp/Ti'][c]:+.0f} %"]

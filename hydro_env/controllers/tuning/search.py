@@ -9,7 +9,7 @@ tracking error beyond the mark from which the benchmark calls a controller idle 
 mean over pairs and scenarios.
 
 Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
-candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.start`). The
+candidates drive the same pairs with the same noise. Known gains are candidates of the first generation (`tuning.tune`). The
 best of the last one are compared on other pairs, since gains that suit the few pairs of a search best do not suit all.
 Only the split `train` may be used, or the plant's own pair.
 """
@@ -28,7 +28,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
-from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
+from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, place_of
@@ -201,14 +201,11 @@ class _Trials:
         return genes[best], told
 
 
-class _Rest:
+class _Rest(Controller):
     """Commands of zero: what it costs to do nothing."""
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        self._zeros = np.zeros((num_rigs, 2))
-
-    def act(self, observation: Floats) -> Floats:
-        return self._zeros
+    def command(self, measured: Measurements) -> Floats:
+        return np.zeros_like(measured.speed)
 
 
 def _short(value: float) -> float:
@@ -244,17 +241,13 @@ def _users_errors() -> Iterator[None]:
 def _checked(wanted: Search) -> Search:
     """The search with the names of its scenarios."""
     task = wanted.task
-    law_of(task.law)
     if task.mismatch not in ("train", None):
-        raise InputError(
-            f"mismatch {task.mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"
-        )
+        raise InputError(f"mismatch {task.mismatch!r}: tune on 'train' or 'own', never on other splits")
     task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
     load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
-    if wanted.cases < 1 or wanted.episodes < 3 * wanted.generation:
-        raise InputError(
-            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {3 * wanted.generation} (3 generations)"
-        )
+    least = 3 * wanted.generation
+    if wanted.cases < 1 or wanted.episodes < least:
+        raise InputError(f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least}")
     return replace(wanted, task=task)
 
 

@@ -1,23 +1,28 @@
-"""Probing at rest: while the set-point is zero and edges are unknown, both spools sweep slowly through their dead zones, first to
+"""Looking for the edges of the dead zones: probing at rest, and crossing.
+
+Probing: while the set-point is zero and edges are unknown, both spools sweep slowly through their dead zones, first to
 the positive side, then to the negative one, and turn back at the first sign of flow. The shafts move by a few rpm; all ends at
 once when the set-point moves.
 
 Where the spool model is to be relied on (`led`), the commands of a sweep bring the spool where it is wanted in two periods, so
 that sweeps are steady from the beginning. One that may have found flow stands still for a sample until that is sure; one that
 has found it goes back within a period, so that little flows on the way.
+
+Crossing a dead zone whose far edge is unknown: both spools creep up to their edges, and the first to flow waits there for the
+other, while the reference coasts as a motor without flow does.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Bools, Floats
+from hydro_env.controllers.base import TUNED, Bools, Floats
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
-from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
-from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.controllers.estimation.valve_estimator import ValveEstimator, ValveState
+from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
 AT_REST = 5.0 * RPM
@@ -30,22 +35,21 @@ SETTLE = 2
 """Samples for the spools to come home."""
 
 
-@dataclass(frozen=True)
-class ProbingSettings:
+class ProbingSettings(NamedTuple):
     """How valves are probed at rest."""
 
-    active: bool = setting(True, "", "whether they are; a shaft that must not move at rest forbids it")
-    led: bool = setting(True, "", "whether sweeps follow the spool model, which has to fit the valves")
-    sweep: float = setting(2.65, "1/s", "pace of the spools, rated commands a second", TUNED)
-    detect: float = setting(0.008, "1", "flow that ends a sweep", "four standard deviations of its noise")
-    hold: float = setting(0.0042, "1", "flow at which a led sweep stands still for a sample", TUNED)
-    again: float = setting(0.006, "1", "flow that then ends it", TUNED)
-    begin: float = setting(2.5, "periods", "how far a led sweep is to be after two periods", TUNED)
-    back: float = setting(1.4, "periods", "the same after it has turned", TUNED)
-    least: float = setting(0.04, "1", "distance behind its first edge a period after it", TUNED)
-    clear: float = setting(0.5, "1", "or this share of its way from rest, where that is more", TUNED)
-    home: float = setting(0.42, "1", "and at its second edge, as a share of the dead zone", TUNED)
-    patience: float = setting(250.0, "rpm", "smoothly moving set-point below which probing goes on", TUNED)
+    active: Annotated[bool, "", "whether they are; a shaft that must not move at rest forbids it"] = True
+    led: Annotated[bool, "", "whether sweeps follow the spool model, which has to fit the valves"] = True
+    sweep: Annotated[float, "1/s", "pace of the spools, rated commands a second", TUNED] = 2.65
+    detect: Annotated[float, "1", "flow that ends a sweep", "four standard deviations of its noise"] = 0.008
+    hold: Annotated[float, "1", "flow at which a led sweep stands still for a sample", TUNED] = 0.0042
+    again: Annotated[float, "1", "flow that then ends it", TUNED] = 0.006
+    begin: Annotated[float, "periods", "how far a led sweep is to be after two periods", TUNED] = 2.5
+    back: Annotated[float, "periods", "the same after it has turned", TUNED] = 1.4
+    least: Annotated[float, "1", "distance behind its first edge a period after it", TUNED] = 0.04
+    clear: Annotated[float, "1", "or this share of its way from rest, where that is more", TUNED] = 0.5
+    home: Annotated[float, "1", "and at its second edge, as a share of the dead zone", TUNED] = 0.42
+    patience: Annotated[float, "rpm", "smoothly moving set-point below which probing goes on", TUNED] = 250.0
 
 
 class Probing:
@@ -121,3 +125,71 @@ class Probing:
             goal = s.home * edge[..., 0] - (1.0 - s.home) * edge[..., 1]
             deadbeat_position(sent, swings & self._second, *place, goal, channel)
         return swings
+
+
+class CrossingSettings(NamedTuple):
+    """When an edge is searched during a crossing, and how fast."""
+
+    search: Annotated[float, "1/s", "pace of the spools, rated commands a second", TUNED] = 9.3
+    known: Annotated[float, "1", "standard deviation of an edge that is not looked for", TUNED] = 0.0235
+
+
+class CrossingState(NamedTuple):
+    """Direction of the flow (N,), whether the rig crosses (N,), and where its spools have crept to (N, 2)."""
+
+    direction: Floats
+    active: Bools
+    position: Floats
+
+
+class Crossing:
+    """Holds a `CrossingState` in `state`, whose arrays keep their place."""
+
+    def __init__(self, settings: CrossingSettings, num_rigs: int, period: float) -> None:
+        self._known = settings.known
+        # at longer periods spools creep as far a sample as usual
+        self._creep = settings.search * min(1.0, TUNED_PERIOD / period) * period
+        self.state = CrossingState(np.zeros(num_rigs), np.zeros(num_rigs, bool), np.zeros((num_rigs, 2)))
+
+    def update(self, demand: Floats, valves: ValveState, probing: Bools) -> None:
+        """Begins a crossing where the flow that the reference takes (num_rigs,) changes its direction and an edge there is
+        unknown."""
+        _begin(self._known, demand, valves, probing, self.state)
+
+    def steer(self, command: Floats, flow: Floats, flowing: Floats, valves: ValveState) -> None:
+        """Replaces the commands (num_rigs, 2) of rigs that cross, in place. `flow`: measured, `flowing`: what counts as flow,
+        both (num_rigs, 2)."""
+        _creep(self._known, self._creep, command, flow, flowing, valves, self.state)
+
+
+@compiled
+def _begin(known, demand, valves, probing, x):
+    for i in range(demand.size):
+        if abs(demand[i]) > 2.0 * FLOWING and np.sign(demand[i]) != x.direction[i] and not probing[i]:
+            x.direction[i] = np.sign(demand[i])
+            d = 1 if x.direction[i] < 0.0 else 0
+            x.active[i] = False
+            for c in range(2):
+                deviation = np.sqrt(valves.edge_variance[i, c, d])
+                cautious = valves.edge[i, c, d] - 2.0 * deviation
+                x.position[i, c] = valves.passed[i, c, d] if valves.unknown[i, c, d] else cautious
+                if deviation > known:
+                    x.active[i] = True
+
+
+@compiled
+def _creep(known, creep, command, flow, flowing, valves, x):
+    there = np.empty(2, np.bool_)
+    for i in range(command.shape[0]):
+        d = 1 if x.direction[i] < 0.0 else 0
+        for c in range(2):
+            flows = x.direction[i] * flow[i, c] > flowing[i, c]
+            # an edge too far away: no flow is seen, a sick sensor
+            there[c] = flows or np.sqrt(valves.edge_variance[i, c, d]) < known or x.position[i, c] > 0.6
+            if not there[c]:
+                x.position[i, c] += creep
+        x.active[i] = x.active[i] and not (there[0] and there[1])
+        if x.active[i]:
+            for c in range(2):
+                waits = valves.edge[i, c, d] + FLOWING / valves.gain[i, c]
+                command[i, c] = x.direction[i] * (waits if there[c] else x.position[i, c])
