@@ -36,8 +36,8 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+#: Machine code to keep. All tests together compile a fifth of it; beyond that the oldest is removed.
 MAX_BYTES = 1 << 30
-"""Machine code to keep. All tests together compile a fifth of it; beyond that the oldest is removed."""
 
 
 def compiled(function: Callable[..., Any], *, nogil: bool = False) -> Callable[..., Any]:

@@ -31,18 +31,18 @@ import yaml
 
 from hydro_env.errors import InputError, shown
 
+#: Size of a YAML file; the largest of the package has 10 kB. PyYAML takes some seconds for as much.
 MAX_BYTES_OF_YAML = 2**17
-"""Size of a YAML file; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
+#: Size of any other file that is written by hand.
 MAX_BYTES = 2**20
-"""Size of any other file that is written by hand."""
+#: Size of a JSON file that a command wrote.
 MAX_BYTES_OF_RESULTS = 2**28
-"""Size of a JSON file that a command wrote."""
+#: Values in a file written by hand, each alias counted as what it stands for.
 MAX_VALUES = 10**6
-"""Values in a file written by hand, each alias counted as what it stands for."""
+#: Tables and lists inside each other.
 DEPTH = 40
-"""Tables and lists inside each other."""
+#: Of a whole number: enough for the 128 bits of a random stream's entropy.
 DIGITS = 40
-"""Of a whole number: enough for the 128 bits of a random stream's entropy."""
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -48,12 +48,12 @@ def _no_truth_value(value: Any) -> Any:
     return value
 
 
+#: A number, also one that YAML takes for text, such as 1e-3; a truth value is none.
 Number = Annotated[float, BeforeValidator(_no_truth_value)]
-"""A number, also one that YAML takes for text, such as 1e-3; a truth value is none."""
+#: The same, and infinity.
 NumberOrInfinity = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_no_truth_value)]
-"""The same, and infinity."""
+#: A whole number of at least 1.
 Count = Annotated[int, BeforeValidator(_no_truth_value), Field(ge=1, le=10**15)]
-"""A whole number of at least 1."""
 
 
 def two_numbers(value: Any) -> tuple[float, float]:

@@ -32,17 +32,17 @@ __all__ = [
     "FRACTION_PER_V", "HAND", "OUTPUT_SHAPING", "RPM", "TUNED", "Bools", "Controller", "Floats", "Gain", "Measurements", "Rows",
 ]  # fmt: skip
 
+#: Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/evidence/notes.md has the trials.
 TUNED = "tuned on `train`"
-"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/evidence/notes.md has the trials."""
+#: Chosen once, never searched for.
 HAND = "set by hand"
-"""Chosen once, never searched for."""
 
 Bools = NDArray[np.bool_]
+#: Rigs, as an index of arrays.
 Rows = NDArray[Any] | slice
-"""Rigs, as an index of arrays."""
 
+#: One volt of command as a fraction of the rated command of the paper's valves.
 FRACTION_PER_V = 1.0 / PARAMETERS["u_rated"].nominal
-"""One volt of command as a fraction of the rated command of the paper's valves."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class Gain:
         return scales.factor(top) / scales.factor(bottom)
 
 
+#: Gains of the output shaping that all controllers share: no limit and no filter if left out.
 OUTPUT_SHAPING = (
     Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf),
     Gain("shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"),
 )
-"""Gains of the output shaping that all controllers share: no limit and no filter if left out."""
 
 
 class Controller:

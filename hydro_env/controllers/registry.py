@@ -29,6 +29,7 @@ from hydro_env.errors import InputError, located, place_of, shown, suggestion
 
 HERE = Path(__file__).parent
 
+#: Control laws by the name that gains files and `hydro-env tune` use.
 LAWS: dict[str, type[Controller]] = {
     "pid": PidController,
     "ramped_pid": RampedPid,
@@ -40,7 +41,6 @@ LAWS: dict[str, type[Controller]] = {
     "compensated": Compensated,
     "oracle": Oracle,
 }
-"""Control laws by the name that gains files and `hydro-env tune` use."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ def _policy(name: str, summary: str, apart: bool = False) -> Entry:
     return Entry(name, summary, lambda: NumpyPolicy(path, name), path, apart)
 
 
+#: The controllers that ship with the package, in the order of the leaderboard.
 CONTROLLERS: dict[str, Entry] = {
     entry.name: entry
     for entry in (
@@ -92,7 +93,6 @@ CONTROLLERS: dict[str, Entry] = {
         _policy("gru_rig", "recurrent network for the preset `rig`", apart=True),
     )
 }
-"""The controllers that ship with the package, in the order of the leaderboard."""
 
 
 def make_controller(spec: Any, *, trust: bool = False, **overrides: Any) -> Any:

@@ -20,8 +20,8 @@ from hydro_env.tasks.metrics import SETTLED_RPM
 __all__ = ["Episodes", "Step", "inform", "roll_out"]
 
 
+#: True signals of the environment's `info` that the metrics need.
 SIGNALS = "setpoint_rpm", "speed_rpm", "angle_difference_deg", "peak_difference_rpm"
-"""True signals of the environment's `info` that the metrics need."""
 
 
 class Step(NamedTuple):

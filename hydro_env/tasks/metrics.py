@@ -108,6 +108,7 @@ def _reversals(trace: Trace) -> Floats:
     return turns.mean(axis=1) / (len(trace.command) * trace.period)
 
 
+#: The metrics by name.
 METRICS: dict[str, Metric] = {metric.name: metric for metric in (
     Metric(
         "return", "return", "",
@@ -153,7 +154,6 @@ METRICS: dict[str, Metric] = {metric.name: metric for metric in (
     ),
     Metric("command_variation", "command variation", "1/s", "the same as `command_travel_per_s`", _travel),
 )}  # fmt: skip
-"""The metrics by name."""
 
 
 def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Floats]:

@@ -191,6 +191,7 @@ def _random_drives(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     return setpoint, load
 
 
+#: The scenarios by name.
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
     _tables(
         "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
@@ -215,7 +216,6 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (
     Scenario("random_profiles", "random_steps with ramps for steps in every second episode", 6.0, _random_profiles, True, True),
     Scenario("random_drives", "random_profiles from rest, most without unequal loads", 6.0, _random_drives, True, True),
 )}  # fmt: skip
-"""The scenarios by name."""
 
 
 def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = PAPER) -> Scenario:

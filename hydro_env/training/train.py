@@ -40,8 +40,8 @@ from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import export_policy
 from hydro_env.training.lock import alone_in
 
+#: Between the first rigs of the runs of two successive seeds: more than the rigs of any run.
 SEED_SPACING = 2**40
-"""Between the first rigs of the runs of two successive seeds: more than the rigs of any run."""
 
 
 class TrainingRigs(VecMonitor):

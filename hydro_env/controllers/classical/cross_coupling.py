@@ -13,8 +13,8 @@ from hydro_env.controllers.base import OUTPUT_SHAPING, RPM, Controller, Floats, 
 from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
 from hydro_env.controllers.classical.reference import FirstOrder
 
+#: How channels 1 and 2 enter the speed difference.
 SIDES = np.array([1.0, -1.0])
-"""How channels 1 and 2 enter the speed difference."""
 
 FILTER = Gain("filter", "s", 0.01, 0.2, summary="time constant of the set-point filter")
 COUPLING = (

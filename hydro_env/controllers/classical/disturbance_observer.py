@@ -17,10 +17,10 @@ from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.spool import SpoolModel, SpoolSettings, channel_of
 
 MOTOR = Motor()
+#: The rated spool, linear: more damping takes the place of friction and coil.
 SPOOL = SpoolSettings(damping=0.15, friction=0.0, coil=1e-6)
-"""The rated spool, linear: more damping takes the place of friction and coil."""
+#: No disturbance is taken to be larger than the rated command.
 MAX_DISTURBANCE = 1.0
-"""No disturbance is taken to be larger than the rated command."""
 
 
 class DisturbanceObserver(Controller):

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from hydro_env.controllers.base import FRACTION_PER_V, OUTPUT_SHAPING, Controller, Floats, Gain, Measurements
 from hydro_env.units import RPM
 
+#: The paper's gains of valves V1 and V2: V/rpm, s, s.
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
-"""The paper's gains of valves V1 and V2: V/rpm, s, s."""
 
+#: Rate N of the derivative's filter, 1/s, assumed since the paper gives none.
 FILTER_RATE = 100.0
-"""Rate N of the derivative's filter, 1/s, assumed since the paper gives none."""
 
 KP = Gain("Kp", "V/rpm", 0.01, 0.4, summary="proportional gain")
 TI = Gain("Ti", "s", 0.01, 1.0, summary="integral time")

@@ -14,8 +14,8 @@ from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
+#: Edge and gain that a valve is taken to have where the bench cannot read its curve: about the mean of its type.
 UNREAD = 0.1, 0.8
-"""Edge and gain that a valve is taken to have where the bench cannot read its curve: about the mean of its type."""
 
 
 @dataclass

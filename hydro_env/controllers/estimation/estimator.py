@@ -17,10 +17,10 @@ from hydro_env.controllers.estimation.valve_estimator import ValveEstimator, Val
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 
+#: Torque of the rated flow through the nominal leakage, N m.
 LEAKAGE_TORQUE = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
-"""Torque of the rated flow through the nominal leakage, N m."""
+#: Longest delay of the commands that is recognised, periods.
 MAX_DELAY = 2
-"""Longest delay of the commands that is recognised, periods."""
 
 
 class DelaySettings(NamedTuple):

@@ -18,8 +18,8 @@ from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SP
 from hydro_env.jit import compiled
 
 INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))
+#: Standard deviation of the torque read from a pressure sensor, N m.
 TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE
-"""Standard deviation of the torque read from a pressure sensor, N m."""
 
 
 class MotorFilterSettings(NamedTuple):

@@ -19,24 +19,24 @@ from hydro_env.units import BAR, RPM
 Floats = NDArray[np.float64]
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
+#: Spool travel at the rated command, m.
 RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
-"""Spool travel at the rated command, m."""
+#: Flow of the nominal valve at the rated command, m3/s.
 RATED_FLOW = NOMINAL["Kq"] * RATED_TRAVEL
-"""Flow of the nominal valve at the rated command, m3/s."""
+#: Angular frequency of the undamped spool, 1/s.
 SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
-"""Angular frequency of the undamped spool, 1/s."""
+#: Friction of the nominal spool as a share of the rated command.
 STICTION = NOMINAL["Fs"] / (NOMINAL["k"] * RATED_TRAVEL)
-"""Friction of the nominal spool as a share of the rated command."""
+#: Standard deviation of a speed sensor, rad/s.
 SPEED_NOISE = NOISE["speed_rpm"] * RPM
-"""Standard deviation of a speed sensor, rad/s."""
+#: Standard deviation of a pressure sensor, Pa.
 PRESSURE_NOISE = NOISE["pressure_bar"] * BAR
-"""Standard deviation of a pressure sensor, Pa."""
+#: Standard deviation of the measured flow (eq. 1): both sensors' noise through displacement and leakage, rounded up.
 FLOW_NOISE = 0.002
-"""Standard deviation of the measured flow (eq. 1): both sensors' noise through displacement and leakage, rounded up."""
+#: Share of the rated flow that counts as flow: four standard deviations of its noise.
 FLOWING = 4.0 * FLOW_NOISE
-"""Share of the rated flow that counts as flow: four standard deviations of its noise."""
+#: The control period that rates and gains were tuned at, s.
 TUNED_PERIOD = 0.01
-"""The control period that rates and gains were tuned at, s."""
 
 
 class Motor(NamedTuple):

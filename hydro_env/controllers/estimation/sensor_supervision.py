@@ -17,9 +17,9 @@ from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
+#: How many of the first 4, 8 and 12 readings at rest count, the quietest, and the mean of their squares for noise of variance 1
+#: (order statistics of the chi-square distribution with one degree of freedom).
 KEPT, SHARE = np.array([3, 6, 8]), np.array([0.51, 0.446, 0.326])
-"""How many of the first 4, 8 and 12 readings at rest count, the quietest, and the mean of their squares for noise of variance 1
-(order statistics of the chi-square distribution with one degree of freedom)."""
 INERTIA, DISPLACEMENT, FRICTION, LEAKAGE = (NOMINAL[name] for name in ("J", "D", "B", "Km"))
 
 

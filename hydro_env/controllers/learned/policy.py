@@ -25,16 +25,16 @@ from hydro_env.errors import InputError, check_known
 from hydro_env.reading import check_file, parse_json
 
 SCHEMA = "hydro_env/policy/2"
+#: Of files with a recurrent layer, which readers of the other schema would not understand.
 RECURRENT_SCHEMA = "hydro_env/policy/3"
-"""Of files with a recurrent layer, which readers of the other schema would not understand."""
 
+#: With which a policy was trained whose file does not say it, s: the environment's own.
 CONTROL_PERIOD = 0.01
-"""With which a policy was trained whose file does not say it, s: the environment's own."""
+#: Size of all arrays of a policy file together; a network of some hundred units has less than 1 MiB.
 MAX_BYTES = 2**26
-"""Size of all arrays of a policy file together; a network of some hundred units has less than 1 MiB."""
+#: Layers of a network, units of a layer (every rig of a batch keeps the values of a layer), and size of a weight, with which
+#: sums stay finite in single precision.
 MAX_LAYERS, MAX_UNITS, MAX_WEIGHT = 32, 4096, 1e6
-"""Layers of a network, units of a layer (every rig of a batch keeps the values of a layer), and size of a weight, with which
-sums stay finite in single precision."""
 
 ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "tanh": np.tanh,

@@ -76,11 +76,11 @@ def _kind_of_policy(path: Path) -> str:
         raise InputError(f"{path}: is no agent as Stable-Baselines3 saves one (model.save)") from None
 
 
+#: What loads an agent, by the library and the module of its policy; PPO, TRPO and A2C share theirs, and so do DDPG and TD3.
 _ALGORITHMS = {
     "sb3_contrib": {"recurrent": "RecurrentPPO", "tqc": "TQC", "crossq": "CrossQ", "ars": "ARS"},
     "stable_baselines3": {"sac": "SAC", "td3": "TD3", "common": "PPO"},
 }
-"""What loads an agent, by the library and the module of its policy; PPO, TRPO and A2C share theirs, and so do DDPG and TD3."""
 
 
 def _algorithm(path: Path, policy: str) -> Any:

@@ -25,14 +25,14 @@ from hydro_env.controllers.estimation.valve_estimator import ValveEstimator, Val
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
+#: Set-point up to which the rig counts as at rest, rad/s.
 AT_REST = 5.0 * RPM
-"""Set-point up to which the rig counts as at rest, rad/s."""
+#: Where a sweep begins, on the other side of the middle.
 FROM = -0.02
-"""Where a sweep begins, on the other side of the middle."""
+#: Where one ends that has seen no flow; Fig. 2 shows an edge at 0.4.
 FARTHEST = 0.5
-"""Where one ends that has seen no flow; Fig. 2 shows an edge at 0.4."""
+#: Samples for the spools to come home.
 SETTLE = 2
-"""Samples for the spools to come home."""
 
 
 class ProbingSettings(NamedTuple):

@@ -21,10 +21,10 @@ from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
+#: Least time between two answers to sudden loads, s; set by hand.
 PAUSE = 0.15
-"""Least time between two answers to sudden loads, s; set by hand."""
+#: Speed below which there is no saying which way a spool stops short, rad/s; set by hand.
 SLOW = 20.0 * RPM
-"""Speed below which there is no saying which way a spool stops short, rad/s; set by hand."""
 
 
 class FeedbackSettings(NamedTuple):

@@ -26,24 +26,24 @@ from hydro_env.plant import PlantModel, Scales, scales_of
 from hydro_env.plant.parameters import SUPPLY_PRESSURE
 from hydro_env.plant.scales import rated
 
+#: Shares of what is possible that are used: of the damping by the pressure's feedback, of the rate at which what lasts of an
+#: error is taken out, and of the largest feedback on both errors. Set on drawn rigs, as the next ones are.
 DAMP, SETTLE, TRACK, COUPLE = 0.4, 0.2, 0.2, 0.5
-"""Shares of what is possible that are used: of the damping by the pressure's feedback, of the rate at which what lasts of an
-error is taken out, and of the largest feedback on both errors. Set on drawn rigs, as the next ones are."""
+#: Likewise of the delay that the speed difference is predicted over, of the motor's own rate for the reference and for the rise
+#: of flow, and of the supply's pressure.
 LEAD, RATE, RISE, PUSH = 0.7, 0.3, 0.2, 0.85
-"""Likewise of the delay that the speed difference is predicted over, of the motor's own rate for the reference and for the rise
-of flow, and of the supply's pressure."""
+#: Rated speeds a second that no reference exceeds; set on drawn rigs.
 GENTLE = 5.0
-"""Rated speeds a second that no reference exceeds; set on drawn rigs."""
+#: Damping ratio of a spool below which commands are averaged.
 RINGS = 0.3
-"""Damping ratio of a spool below which commands are averaged."""
 
 VALVES = ValveSettings(
     before=0.03, drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0,
 )  # fmt: skip
 PROBING = ProbingSettings(led=False, detect=0.0047, patience=0.0)
+#: Estimation and probing of valves whose spools the model knows too roughly to lead them. Found by an evolution strategy on
+#: pairs of `train` of the preset `rig`; `before` and `search` by trial on drawn rigs.
 CROSSING = CrossingSettings(known=0.0135, search=3.0)
-"""Estimation and probing of valves whose spools the model knows too roughly to lead them. Found by an evolution strategy on
-pairs of `train` of the preset `rig`; `before` and `search` by trial on drawn rigs."""
 
 
 def leaks(model: PlantModel) -> bool:

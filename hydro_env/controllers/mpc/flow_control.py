@@ -21,9 +21,9 @@ from hydro_env.controllers.mpc.fitted import leaks, settings_of, units_of
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.plant import PlantModel, Scales
 
+#: Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
+#: reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part.
 SURE = 0.015, 0.06
-"""Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
-reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part."""
 
 RATE = Gain("rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which a reference runs to the set-point")
 RISE = Gain("rise", "1/s", 3.0, 60.0, default=28.0, summary="rated flows a second by which flow may rise")
@@ -32,8 +32,8 @@ SWEEP = Gain("sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of spools whe
 SEARCH = Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace of spools when crossing a dead zone")
 
 
+#: The settings that the gains belong to.
 PARTS = {"reference": ("rate", "rise", "fall"), "probing": ("sweep",), "crossing": ("search",)}
-"""The settings that the gains belong to."""
 
 
 class ProbingFlow(Controller):

@@ -32,8 +32,8 @@ from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings, ca
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 
+#: Flow below which the jump over the dead zone is a ramp: just above what counts as flow.
 BLEND = 0.01
-"""Flow below which the jump over the dead zone is a ramp: just above what counts as flow."""
 
 
 class FlowSettings(NamedTuple):

@@ -24,22 +24,22 @@ from hydro_env.controllers.mpc.shooting import END, HORIZON, HUBER, MIN_DAMPING,
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
+#: How often a plan is driven, and then improved, in every period, and when the set-point has just stepped.
 TURNS, AFTER_A_STEP = 3, 30
-"""How often a plan is driven, and then improved, in every period, and when the set-point has just stepped."""
+#: Share of the turns in which a plan is taken whatever it costs.
 FREE = 0.6
-"""Share of the turns in which a plan is taken whatever it costs."""
+#: Change of the set-point from one period to the next that is a step, rad/s.
 STEP = 50.0 * RPM
-"""Change of the set-point from one period to the next that is a step, rad/s."""
+#: Speed difference in a plan from which on another is looked for, rad/s.
 APART = 4.0 * RPM
-"""Speed difference in a plan from which on another is looked for, rad/s."""
+#: Turns of those other plans, one after the other.
 RETRIES = (6, 30)
-"""Turns of those other plans, one after the other."""
+#: A plan of which no command would move by more than this share of the rated one is left as it is.
 SETTLED = 1e-4
-"""A plan of which no command would move by more than this share of the rated one is left as it is."""
+#: Error of a speed by which the simulation of plans chooses its steps, rad/s.
 TOLERANCE = 1.0 * RPM
-"""Error of a speed by which the simulation of plans chooses its steps, rad/s."""
+#: Shares of the stroke: where the largest command lets a spool rest, and how far it should swing.
 TRAVEL, MARGIN = 0.95, 0.96
-"""Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
 
 
 class Oracle(Controller):

@@ -25,16 +25,16 @@ from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
+#: Control periods that are planned: longer than the spool's period of 30 ms.
 HORIZON = 4
-"""Control periods that are planned: longer than the spool's period of 30 ms."""
+#: Commands of a plan, channel by channel. (Known to the compiler, which unrolls loops over them.)
 COMMANDS = 2 * HORIZON
-"""Commands of a plan, channel by channel. (Known to the compiler, which unrolls loops over them.)"""
+#: What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed.
 CLOSED = 0.3
-"""What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
+#: How often a step is tried, and by how much smaller each time.
 TRIES, SMALLER = 3, 0.35
-"""How often a step is tried, and by how much smaller each time."""
+#: A plan that leaves this share of a larger distance from the aim is restarted from the plan of the feedback.
 STUCK, AWAY = 0.6, 10.0 * RPM
-"""A plan that leaves this share of a larger distance from the aim is restarted from the plan of the feedback."""
 
 
 class PlannerSettings(NamedTuple):

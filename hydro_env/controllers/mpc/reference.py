@@ -15,8 +15,8 @@ from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
 INERTIA = NOMINAL["J"]
+#: Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms.
 SMOOTH = 25.0 * RPM
-"""Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms."""
 
 
 class ReferenceSettings(NamedTuple):

@@ -25,23 +25,23 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.mpc.planner import CLOSED, solve_positive_definite
 from hydro_env.jit import compiled
 
+#: Control periods that are planned, and samples of a period at which the planned motion is looked at.
 HORIZON, SAMPLES = 5, 10
-"""Control periods that are planned, and samples of a period at which the planned motion is looked at."""
+#: Last sample of a plan.
 END = HORIZON * SAMPLES
-"""Last sample of a plan."""
+#: Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, on a rig with the paper's speeds.
 HUBER = 2.0
-"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, on a rig with the paper's speeds."""
+#: Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand.
 EVERY, BETWEEN = 2, 200.0
-"""Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand."""
+#: Least weight of the squared change of the plan, which keeps it where nothing else says what is better.
 MIN_DAMPING = 1.0
-"""Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
+#: Most changes of the set of commands at their limits: six times as many as there are commands.
 MAX_CHANGES = 60
-"""Most changes of the set of commands at their limits: six times as many as there are commands."""
 
+#: The control instants among the samples, ...
 _INSTANTS = slice(SAMPLES, None, SAMPLES)
-"""The control instants among the samples, ..."""
+#: ... and the samples at which speeds are compared.
 _COMPARED = slice(EVERY, None, EVERY)
-"""... and the samples at which speeds are compared."""
 
 
 class Task(NamedTuple):

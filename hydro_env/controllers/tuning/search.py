@@ -37,23 +37,23 @@ from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.tasks.metrics import IDLE
 from hydro_env.units import RPM
 
+#: Candidates of a generation: about three for each of up to eight gains.
 POPULATION = 24
-"""Candidates of a generation: about three for each of up to eight gains."""
+#: Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for.
+#: Of the plant's own pair these are twelve episodes with other noise and set-points: gains that fit a few suit no others.
 CASES, TRIALS = 12, 480
-"""Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for.
-Of the plant's own pair these are twelve episodes with other noise and set-points: gains that fit a few suit no others."""
 EPISODES = 2 * CASES * TRIALS
+#: Of the last generation, compared on other pairs, in as many episodes as a generation takes.
 FINALISTS = 6
-"""Of the last generation, compared on other pairs, in as many episodes as a generation takes."""
+#: Gains nearer than this share of their range to its end are said to have ended there.
 AT_END = 0.01
-"""Gains nearer than this share of their range to its end are said to have ended there."""
 SCENARIOS = "setpoint_steps", "random_steps"
 COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
+#: How many rpm of the peak difference one of the RMS difference is worth, how many rpm of tracking error one whole rated command
+#: a second, and one rpm of it beyond the mark of the idle.
 RMS, WEAR, IDLING = 2.0, 5.0, 10.0
-"""How many rpm of the peak difference one of the RMS difference is worth, how many rpm of tracking error one whole rated command
-a second, and one rpm of it beyond the mark of the idle."""
+#: Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need.
 ROOM = 10.0
-"""Ranges reach down to known gains divided by this: a stiff rig takes less than the least that the paper's may need."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from ..parameters import PARAMETERS, Parameter
 from ..rhs import rates
 from .effect import Effect, arguments
 
+#: Points at which a law is tried at its neutral value, half of them small signals and half of them large ones.
 SAMPLES = 200
-"""Points at which a law is tried at its neutral value, half of them small signals and half of them large ones."""
 
 
 def check_laws(effect: Effect) -> None:
