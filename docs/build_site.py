@@ -118,7 +118,8 @@ def _notebook(path: Path) -> dict[str, str | bytes]:
 
 
 def _api(module: griffe.Module) -> str:
-    """The functions and classes that a module's `__all__` lists. Sources are read, not imported: no other extra is needed."""
+    """The functions and classes that a module's `__all__` lists, or else those of its own without an underscore. Sources are
+    read, not imported: no other extra is needed."""
     lines = [
         f"# {module.path}",
         "",
@@ -126,7 +127,8 @@ def _api(module: griffe.Module) -> str:
         "    options: {members: false, show_root_heading: false}",
         "",
     ]
-    for name in map(str, module.exports or ()):
+    own = [name for name, member in module.members.items() if not member.is_alias and not name.startswith("_")]
+    for name in map(str, module.exports or own):
         with suppress(griffe.AliasResolutionError):
             if module[name].is_class or module[name].is_function:
                 lines += [f"::: {module.path}.{name}", ""]
