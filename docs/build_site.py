@@ -127,7 +127,9 @@ def _api(module: griffe.Module) -> str:
         "    options: {members: false, show_root_heading: false}",
         "",
     ]
-    own = [name for name, member in module.members.items() if not member.is_alias and not name.startswith("_")]
+    own = [
+        name for name, member in module.members.items() if not member.is_alias and not name.startswith("_")
+    ]
     for name in map(str, module.exports or own):
         with suppress(griffe.AliasResolutionError):
             if module[name].is_class or module[name].is_function:

@@ -30,7 +30,7 @@ import numpy as np
 
 from agents.command import run_command
 from hydro_env.diagnosis import Diagnosis, Settings, diagnose
-from hydro_env.diagnosis.experiment_design import SECONDS, commands_csv, random_design
+from hydro_env.diagnosis.experiment_design import SECONDS, commands_csv
 from hydro_env.diagnosis.stages.next_experiment import max_load
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
@@ -43,6 +43,7 @@ from .blind_trials.cases import BASE_ERROR
 from .blind_trials.judging import HELD_OUT_WITHIN, judge
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
+from .naming_methods.designs import random_design
 
 SCHEMA = "hydro_env/next_experiment/1"
 #: The logs of a rig: what is known first, and what is held out.

@@ -109,7 +109,7 @@ def _piece(rng: np.random.Generator, size: float, max_load: float) -> Array:
     return size * np.column_stack([np.clip(middle + swing * wave, -1.0, 1.0), load])
 
 
-def _whole(pieces: Array, limits: Settings) -> Array:
+def experiments_of(pieces: Array, limits: Settings) -> Array:
     """Pieces (..., PIECES, PIECE, 2, 2) between two rests as experiments within the limits of command and rate."""
     rest = np.zeros((*pieces.shape[:-4], REST, 2, 2))
     joined = pieces.reshape(*pieces.shape[:-4], PIECES * PIECE, 2, 2)
@@ -123,18 +123,12 @@ def _whole(pieces: Array, limits: Settings) -> Array:
     return out
 
 
-def _drawn(rng: np.random.Generator, count: int, size: float, max_load: float, pieces: int = PIECES) -> Array:
+def random_pieces(
+    rng: np.random.Generator, count: int, size: float, max_load: float, pieces: int = PIECES
+) -> Array:
     """Pieces (count, pieces, PIECE, 2, 2) of random experiments."""
     found = [[[_piece(rng, size, max_load) for _ in (0, 1)] for _ in range(pieces)] for _ in range(count)]
     return np.moveaxis(np.array(found), 2, 3)
-
-
-def random_design(
-    model: PlantModel, limits: Settings, rng: np.random.Generator, max_load: float = 0.0
-) -> tuple[Array, Array]:
-    """A random experiment of the family: commands (T, 2) in V and loads (T, 2) in N m."""
-    found = _whole(_drawn(rng, 1, 1.0, max_load)[0], limits)
-    return found[..., 0] * np.array(model.pair("u_rated")), found[..., 1]
 
 
 def commands_csv(command_V: Array, load: Array) -> str:
@@ -321,8 +315,8 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
     """
     settings, size = trial.fit.settings, 1.0
     for _ in range(MAX_TIMES_SMALLER):
-        pieces = _drawn(rng, FIRST, size, max_load)
-        scores = trial.scores(trial.simulated(_whole(pieces, settings)))
+        pieces = random_pieces(rng, FIRST, size, max_load)
+        scores = trial.scores(trial.simulated(experiments_of(pieces, settings)))
         if np.isfinite(scores).any(axis=0).all():
             break
         size *= SMALLER
@@ -333,13 +327,13 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
     reached = scores[best, [0, 1]]
     for place in range(PIECES):
         tried = np.repeat(chosen[None], PIECES_TRIED, axis=0)
-        tried[:, place] = _drawn(rng, PIECES_TRIED, size, max_load, 1)[:, 0]
-        scores = trial.scores(trial.simulated(_whole(tried, settings)))
+        tried[:, place] = random_pieces(rng, PIECES_TRIED, size, max_load, 1)[:, 0]
+        scores = trial.scores(trial.simulated(experiments_of(tried, settings)))
         best = np.argmax(scores, axis=0)
         for c in (0, 1):
             if scores[best[c], c] > reached[c]:
                 chosen[place, :, c], reached[c] = tried[best[c], place, :, c], scores[best[c], c]
-    return _described(trial, _whole(chosen, settings))
+    return _described(trial, experiments_of(chosen, settings))
 
 
 def _described(trial: Trial, experiment: Array) -> Design:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs.evidence.naming_methods.designs import random_design
 from hydro_env.diagnosis import Settings, experiment_design
 from hydro_env.diagnosis.estimation.estimate import Estimate, Intervals
 from hydro_env.diagnosis.estimation.fit import Fit
@@ -19,7 +20,6 @@ from hydro_env.diagnosis.experiment_design import (
     Question,
     Trial,
     best_design,
-    random_design,
 )
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig

@@ -17,10 +17,12 @@ from hydro_env.diagnosis.experiment_design import (
     Trial,
     best_design,
     commands_csv,
-    random_design,
+    experiments_of,
+    random_pieces,
 )
 from hydro_env.diagnosis.models.base import UNITS
 from hydro_env.diagnosis.stages.next_experiment import max_load
+from hydro_env.plant import PlantModel
 
 
 def sure(found: Diagnosis) -> bool:
@@ -31,6 +33,14 @@ def sure(found: Diagnosis) -> bool:
 def lacking(found: Diagnosis) -> list[str]:
     """The sensors that the logs do not have."""
     return [name for name in SENSORS if name not in recorded(found.logs)]
+
+
+def random_design(
+    model: PlantModel, limits: Settings, rng: np.random.Generator, max_load: float = 0.0
+) -> tuple[Array, Array]:
+    """A random experiment of the family: commands (T, 2) in V and loads (T, 2) in N m."""
+    found = experiments_of(random_pieces(rng, 1, 1.0, max_load)[0], limits)
+    return found[..., 0] * np.array(model.pair("u_rated")), found[..., 1]
 
 
 def at_random(found: Diagnosis, rng: np.random.Generator) -> tuple[str, list[str]] | None:
