@@ -59,22 +59,16 @@ def parse_effects(words: Iterable[str]) -> dict[str, str]:
     return chosen
 
 
-def number(text: str | None) -> float:
-    """The finite number that a text holds; NaN where it holds none."""
-    try:
-        value = float(text or "")
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
-
-
 def parse_values(words: Iterable[str]) -> dict[str, float]:
     """`["dead_zone.overlap_positive=7e-5"]` -> `{"dead_zone.overlap_positive": 7e-5}` (SI). InputError if malformed."""
     values: dict[str, float] = {}
     for word in words:
         name, _, text = word.partition("=")
-        values[name] = number(text)
-        if math.isnan(values[name]):
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
             raise InputError(
                 f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5"
             )
