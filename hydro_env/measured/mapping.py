@@ -41,7 +41,8 @@ from hydro_env.units import to_si, unit
 from hydro_env.validation import FileTable, Number, checked
 
 #: How the command of a channel, and a signal, is described in a file.
-C, S = TypeVar("C"), TypeVar("S")
+C = TypeVar("C")
+S = TypeVar("S")
 
 SCHEMA = "hydro_env/mapping/1"
 #: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
@@ -146,10 +147,6 @@ class Quantity(FileTable):
     value: Number
     unit: str
 
-    @property
-    def si(self) -> float:
-        return float(to_si(self.value, self.unit))
-
 
 class Time(FileTable):
     """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
@@ -202,7 +199,8 @@ class ChannelMapping(ChannelTable[Source, Source]):
     @property
     def size(self) -> float | None:
         """The displacement, m3/rad, or the area, m2, where it is known."""
-        return self.displacement.si if self.displacement else None
+        known = self.displacement
+        return float(to_si(known.value, known.unit)) if known else None
 
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
