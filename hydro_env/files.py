@@ -2,12 +2,13 @@
 
 `write_text`, `write_bytes` and `write_json` replace one file in one go. `output_folder` does the same for a command that
 writes several: they are made in a hidden folder next to their place and moved in when all of them are there.
-What cannot be written raises an OSError that names the file.
+What cannot be written raises an OSError that names the file. `sha256_of` tells whether a file is still the same.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import secrets
@@ -65,6 +66,12 @@ def naming(path: Path) -> Iterator[None]:
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def to_json(data: Any, *, indent: int | None = None) -> str:

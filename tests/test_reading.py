@@ -18,7 +18,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.errors import InputError
 from hydro_env.measured import load_mapping, read_log
 from hydro_env.plant import load_effects, load_model
-from hydro_env.practice.played import plans_of
+from hydro_env.practice.manoeuvres import plans_of
 from hydro_env.reading import DEPTH, MAX_BYTES_OF_YAML, parse_json, parse_yaml, read_yaml
 from hydro_env.valve_bench import read_curve
 

@@ -12,7 +12,6 @@ Files appear whole, case.json after all that it speaks of. So a call that is kil
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -23,7 +22,7 @@ from pydantic import Field
 
 from ..diagnosis.input.parts import split
 from ..errors import InputError, shown
-from ..files import output_folder, to_json, write_bytes, write_json
+from ..files import output_folder, sha256_of, to_json, write_bytes, write_json
 from ..plant import load_model, preset_names
 from ..reading import MAX_BYTES_OF_RESULTS, check_file, read_json
 from ..validation import FileTable, checked
@@ -110,12 +109,6 @@ def write(folder: Path, case: CaseFile) -> None:
 def path_of(word: str) -> str:
     """The path of a log without its windows."""
     return split(word)[0]
-
-
-def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def hashes_of(words: Sequence[str]) -> list[str]:

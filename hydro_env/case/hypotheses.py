@@ -70,18 +70,11 @@ def certainty(places: Sequence[Place]) -> float:
     return min(max([p for n, p in each.hypotheses.items() if n != UNKNOWN], default=0.0) for each in places)
 
 
-def weight_of(apart: float, temper: float) -> float:
-    """The weight that a wrong model keeps after an experiment in which it is so far `apart` from the right one (RMS in units of
-    what is not known): that of its expected deviance, tempered as in naming. The laws of machines differ from block to block of
-    `BLOCK_S`, so each counts once."""
-    return math.exp(-0.5 * temper * SECONDS / BLOCK_S * apart**2)
-
-
 def expected(places: Sequence[Place], apart: Distances, temper: float) -> float:
-    """The same after an experiment in which models of two names are so far apart.
+    """The same after an experiment in which models of two names are so far apart (RMS in units of what is not known).
 
-    If one of them is right, the others keep the weight of their expected deviance, and the likeliest is the best answer. What
-    no model stands for keeps its share.
+    If one of them is right, the others keep the weight of their expected deviance, tempered as in naming, and the likeliest is
+    the best answer. What no model stands for keeps its share.
     """
     return min(_expected(each, apart, temper) for each in places)
 
@@ -95,7 +88,8 @@ def _expected(place: Place, apart: Distances, temper: float) -> float:
         # An effect that no model stands for shows as little as none.
         known = [d for n in pair if (d := apart.get((CALIBRATION, n))) is not None]
         far = apart.get(pair, apart.get(pair[::-1], known[0] if len(known) == 1 else 0.0))
-        return weight_of(far, temper)
+        # The laws of machines differ from block to block of `BLOCK_S`, so each counts once.
+        return math.exp(-0.5 * temper * SECONDS / BLOCK_S * far**2)
 
     right = 0.0
     for one, p in shares.items():

@@ -10,7 +10,7 @@ from typer import Argument, Context, Option
 
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
 from hydro_env.errors import InputError
-from hydro_env.files import write_text
+from hydro_env.files import sha256_of, write_text
 from hydro_env.limits import CORES, Limits
 from hydro_env.units import BAR
 
@@ -155,12 +155,12 @@ def _inspect(log: str, mapping: str | None, folder: Path) -> None:
 
 def _dialogue(context: Context) -> None:
     """One call of a case. Code of effects is run only where it is named, so every call names it."""
-    from hydro_env.case import dialogue, folder
+    from hydro_env.case import dialogue
 
     options = context.params
     kept = {name: value for name, value in options.items() if name not in _OF_ONE_CALL}
     given = {n for n in kept if getattr(context.get_parameter_source(n), "name", "DEFAULT") != "DEFAULT"}
-    kept["effects"] = [folder.sha256_of(Path(path)) for path in options["effect_files"] or []]
+    kept["effects"] = [sha256_of(Path(path)) for path in options["effect_files"] or []]
     dialogue.run(
         options["case"], options["fit_logs"] or [], options["sealed"] or [], kept, given | {"effects"}, jobs=options["jobs"],
         arguments=_arguments,

@@ -64,15 +64,15 @@ def steady_figures(model: PlantModel, channel: int, q: Mapping[str, float]) -> d
     alone = _valve_alone(model)
     supply = model.value("pressure_dependent_flow.supply_pressure", channel)
     load = alone.value("D", channel) * (supply - total_drop(q))
-    curve = identify(record(alone, channel, seconds=40.0, signal="command"))
-    sides = [side for side in (curve.positive, curve.negative) if side is not None]
+    found = identify(record(alone, channel, seconds=40.0, signal="command"))
+    sides = [side for side in (found.positive, found.negative) if side is not None]
     band = max(0.0, float(np.mean([side.dead_zone for side in sides])))
     rated = np.full(300, model.value("u_rated", channel))
     (flow,) = _run(Plant(alone), channel, rated, load, 0.01, "flow")
     return {
         "rated_flow_lpm": float(np.mean(flow[-50:])) / LPM,
-        "dead_band_percent": 100.0 * band / curve.rated,
-        "hysteresis_percent": curve.hysteresis_percent or 0.0,
+        "dead_band_percent": found.curve.percent(band),
+        "hysteresis_percent": found.hysteresis_percent or 0.0,
     }
 
 

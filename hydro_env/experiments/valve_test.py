@@ -92,13 +92,13 @@ def _draw(out: Path, tested: Sequence[Tested], data: dict[str, Any]) -> None:
     from hydro_env.valve_bench.picture import draw_curves, draw_rates
 
     # A modelled valve's loops hardly differ; a measured one's may.
-    sweeps = [(each.curve,) if each.model else each.sweeps for each in tested]
+    sweeps = [(each.figures.curve,) if each.model else each.sweeps for each in tested]
     curves = draw_curves(sweeps, [each.figures for each in tested])
     inline: list[Any] = [svg(curves, "flow over signal of every valve"), None]
     png(curves, out / "valve_test.png")
     several = [each for each in tested if each.rates.hysteresis_percent is not None]
     if several:
-        rates = draw_rates([each.curve.name for each in several], [each.rates for each in several])
+        rates = draw_rates([each.figures.curve.name for each in several], [each.rates for each in several])
         inline[1] = svg(rates, "width of the loop over the sweep rate")
         png(rates, out / "valve_rates.png")
     write_text(out / "valve_test.html", page(data, *inline))

@@ -15,7 +15,7 @@ from hydro_env.envs.observation import FRAME, OBSERVATION, Floats, Measurements,
 from hydro_env.errors import InputError
 from hydro_env.live.link import Link, Sample
 from hydro_env.plant import Plant, PlantModel, scales_of
-from hydro_env.practice.played import plans_of
+from hydro_env.practice.manoeuvres import plans_of
 from hydro_env.reading import read_yaml
 from hydro_env.tasks import load_scenario
 

@@ -38,7 +38,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS, USUAL_UNITS, quantity_of
+from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS, USUAL_UNITS, ChannelTable, quantity_of
 from hydro_env.reading import read_yaml
 from hydro_env.units import from_si, to_si, unit, with_unit
 from hydro_env.validation import FileTable, Number, checked
@@ -116,19 +116,8 @@ class Clock(FileTable):
     unit: str = "s"
 
 
-class Channel(FileTable):
+class Channel(ChannelTable[Command, Input]):
     """One valve and its motor."""
-
-    command: Command
-    speed: Input
-    current: Input | None = None
-    pressure: Input | None = None
-    load: Input | None = None
-    spool: Input | None = None
-    flow: Input | None = None
-    pressure_a: Input | None = None
-    pressure_b: Input | None = None
-    motor_pressure: Input | None = None
 
     @model_validator(mode="after")
     def _units_fit(self) -> Channel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import hashlib
 import io
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, located, nearest
-from ..files import replacing
+from ..files import replacing, sha256_of
 from ..units import REVOLUTION, from_si, unit
 from .finding import Finding
 from .formats import read_table
@@ -48,8 +47,7 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
         table.findings.extend(_unknown_columns(table))
     with located(path):
         log = _log_of(table, chosen[0])
-    with open(path, "rb") as file:
-        return replace(log, name=path.name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
+    return replace(log, name=path.name, sha256=sha256_of(path))
 
 
 def _unknown_columns(table: Table) -> Iterator[Finding]:

@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -39,6 +39,10 @@ from hydro_env.measured.finding import Finding
 from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
 from hydro_env.validation import FileTable, Number, checked
+
+#: How the command of a channel, and a signal, is described in a file.
+C = TypeVar("C")
+S = TypeVar("S")
 
 SCHEMA = "hydro_env/mapping/1"
 #: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
@@ -143,10 +147,6 @@ class Quantity(FileTable):
     value: Number
     unit: str
 
-    @property
-    def si(self) -> float:
-        return float(to_si(self.value, self.unit))
-
 
 class Time(FileTable):
     """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
@@ -175,26 +175,32 @@ class TableStyle(FileTable):
     si_suffixes: bool = False
 
 
-class ChannelMapping(FileTable):
-    """One valve and its actuator; signals that are not recorded are left out."""
+class ChannelTable(FileTable, Generic[C, S]):
+    """The command and the signals of a channel in a file; those that are not there are left out."""
+
+    command: C
+    speed: S
+    current: S | None = None
+    pressure: S | None = None
+    load: S | None = None
+    spool: S | None = None
+    flow: S | None = None
+    pressure_a: S | None = None
+    pressure_b: S | None = None
+    motor_pressure: S | None = None
+
+
+class ChannelMapping(ChannelTable[Source, Source]):
+    """One valve and its actuator."""
 
     actuator: Literal["motor", "cylinder"] = "motor"
     displacement: Quantity | None = None
-    command: Source
-    speed: Source
-    current: Source | None = None
-    pressure: Source | None = None
-    load: Source | None = None
-    spool: Source | None = None
-    flow: Source | None = None
-    pressure_a: Source | None = None
-    pressure_b: Source | None = None
-    motor_pressure: Source | None = None
 
     @property
     def size(self) -> float | None:
         """The displacement, m3/rad, or the area, m2, where it is known."""
-        return self.displacement.si if self.displacement else None
+        known = self.displacement
+        return float(to_si(known.value, known.unit)) if known else None
 
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:

@@ -33,8 +33,7 @@ from ..files import write_json, write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
-from .manoeuvres import ROUND, RUNS, Array
-from .played import plans_of
+from .manoeuvres import ROUND, RUNS, Array, plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
@@ -74,7 +73,7 @@ class PracticeSettings:
     forms       of the effects in the simulator, see `reference.FORMS`; "catalogue": the laws of the catalogue, as wherever a
                 user's effect is
     runs        which logs to make, of "fit_1", "fit_2", "sealed"
-    play        a CSV file of commands (`played.plans_of`): the same rig plays these instead of `runs`, as the log "played"
+    play        a CSV file of commands (`manoeuvres.plans_of`): the same rig plays these instead of `runs`, as the log "played"
     """
 
     severity: str = "medium"

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import InputError, check_known
 from ..limits import Limits
-from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, scales_of
+from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, Scales, parameter_of, scales_of
 
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
 SEVERITIES: dict[str, tuple[float, float]] = {"small": (0.2, 0.5), "medium": (0.4, 2.0), "large": (1.5, 3.0)}
@@ -59,44 +59,36 @@ def parse_effects(words: Iterable[str]) -> dict[str, str]:
     return chosen
 
 
-def number(text: str | None) -> float:
-    """The finite number that a text holds; NaN where it holds none."""
-    try:
-        value = float(text or "")
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
-
-
 def parse_values(words: Iterable[str]) -> dict[str, float]:
     """`["dead_zone.overlap_positive=7e-5"]` -> `{"dead_zone.overlap_positive": 7e-5}` (SI). InputError if malformed."""
     values: dict[str, float] = {}
     for word in words:
         name, _, text = word.partition("=")
-        values[name] = number(text)
-        if math.isnan(values[name]):
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
             raise InputError(
                 f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5"
             )
     return values
 
 
-def _usual(given: PlantModel, name: str, channel: str) -> Effect:
-    """An effect with the sizes that are usual on a rig like `given`."""
-    return scales_of(given, {"1": 0, "2": 1}.get(channel)).effect(CATALOGUE[name])
+def _scales(given: PlantModel, channel: str) -> Scales:
+    """What sizes of effects on a channel are usual on a rig like `given`."""
+    return scales_of(given, {"1": 0, "2": 1}.get(channel))
 
 
 def check_values(values: Mapping[str, float], effects: Mapping[str, str], given: PlantModel) -> None:
     """InputError unless every `effect.parameter` is of an effect to hide and within its bounds on a rig like `given`."""
     for key, value in values.items():
-        name, _, own = key.partition(".")
+        name = key.partition(".")[0]
         if name not in effects:
             raise InputError(
                 f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})"
             )
-        known = {p.name: p for p in _usual(given, name, effects[name]).parameters}
-        check_known(f"{key}: effect {name!r} has no parameter", [own], known)
-        p = known[own]
+        p = _scales(given, effects[name]).parameter(parameter_of(key))
         if value != p.nominal:
             Limits(p.low, p.high, unit=p.unit).check(value, key)
 
@@ -169,7 +161,7 @@ def choose(
     """
     for name, channel in effects.items():
         # Everything is drawn, so that an explicit value changes no other one.
-        chosen = _draw(_usual(given, name, channel), severity, duration, rng)
+        chosen = _draw(_scales(given, channel).effect(CATALOGUE[name]), severity, duration, rng)
         chosen |= {own: values[key] for own in chosen if (key := f"{name}.{own}") in values}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(

@@ -8,6 +8,8 @@ values, a shorter one the beginning of the first.
             about a bias, a sine of rising frequency, full steps; each channel in its own order
     fit_2   operation, closed loop: set-point steps, staircase, reversing sine, load steps both ways
     sealed  other values, order and mixture of both
+
+Or it plays commands from a table, such as the next experiment that a diagnosis proposes (`plans_of`).
 """
 
 from __future__ import annotations
@@ -15,18 +17,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError, located
+from ..measured.formats import read_table
 from ..waveforms import triangle
 
 Array = NDArray[np.float64]
 Stream = np.random.Generator
 
-#: Length of a round, s.
-ROUND = 12.0
+#: Length of a round, and the longest log that is played from a table, s.
+ROUND, MAX_DURATION = 12.0, 3600.0
+#: Columns of such a table, besides `time_s`.
+_COMMANDS, _LOADS = ("command_1_V", "command_2_V"), ("load_1_Nm", "load_2_Nm")
 
 
 class Plan(NamedTuple):
@@ -216,3 +223,45 @@ def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> Ite
             rounds.append(RUNS[run](common, alone, dt))
         whole = Plan.join(rounds)
         yield Plan(whole.value[:steps], whole.closed[:steps], whole.load[:steps])
+
+
+# --- commands from a table -----------------------------------------------------------------------------------------------
+def plans_of(path: str | Path, rated_V: tuple[float, float], period: float) -> list[Plan]:
+    """The plan of each channel from a CSV file with `time_s` and `command_1_V`, `command_2_V` or both; `load_1_Nm` and
+    `load_2_Nm` may be there.
+
+    Each row holds until the next one, the last as long as the one before it; a channel without a column is at rest. Rows are
+    taken at every `period` s. InputError for a file that cannot be read, a column that is missing, a value that is no number
+    or beyond the rated command, and times that do not rise.
+    """
+    table = read_table(Path(path), _understood)
+    with located(path):
+        for name, values in table.columns.items():
+            for n in np.flatnonzero(np.isnan(values))[:1]:
+                raise table.refused(name, "no number; write one in every row", n)
+        time = table.columns["time_s"]
+        if len(time) < 2:
+            raise InputError("one row; expected at least two rows with rising time_s")
+        for n in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
+            raise table.refused("time_s", "does not rise; each row must be later than the one before", n + 1)
+        end = 2.0 * time[-1] - time[-2] - time[0]
+        if end > MAX_DURATION:
+            raise InputError(f"{end:g} s of commands; expected {MAX_DURATION:g} s at most")
+        at = np.arange(max(1, round(end / period))) * period
+        rows = np.searchsorted(time - time[0], at + 1e-9 * period, side="right") - 1
+        nothing = np.zeros(len(time))
+        found = []
+        for command, load, rated in zip(_COMMANDS, _LOADS, rated_V, strict=True):
+            volts = table.columns.get(command, nothing)
+            for n in np.flatnonzero(np.abs(volts) > rated * (1.0 + 1e-9))[:1]:
+                raise table.refused(command, f"{volts[n]:g} is beyond the rated command of {rated:g} V", n)
+            found.append(_open((volts / rated)[rows], table.columns.get(load, nothing)[rows]))
+    return found
+
+
+def _understood(names: Sequence[str]) -> list[str]:
+    """The columns of a table of commands that are read."""
+    found = [name for name in ("time_s", *_COMMANDS, *_LOADS) if name in names]
+    if "time_s" not in found or not {*found} & {*_COMMANDS}:
+        raise InputError("columns time_s and command_1_V, command_2_V or both are needed")
+    return found

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..measured.mapping import contract_columns
 from ..plant import Plant, PlantModel, Scales, scales_of
 from ..plant.scales import PAPER, rated, swing
 from ..plant.sensors import NOISE
@@ -290,11 +290,9 @@ class Recorder:
 
 def log_text(columns: Mapping[str, Array], kinds: Mapping[str, Column] = COLUMNS) -> str:
     """A rig log as CSV text; `kinds` of columns say their decimals."""
-    # "pressure_a" of "pressure_a_1_bar", "time" of "time_s"
-    names = [re.sub(r"(_[12])?_[A-Za-z]+$", "", column) for column in columns]
-    buffer = io.StringIO()
+    known, buffer = contract_columns(), io.StringIO()
     np.savetxt(
-        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{kinds[name].decimals}f" for name in names],
+        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{kinds[known[name][0]].decimals}f" for name in columns],
         delimiter=",", header=",".join(columns), comments="",
     )  # fmt: skip
     return buffer.getvalue()

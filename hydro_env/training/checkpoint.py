@@ -9,7 +9,6 @@ are loaded only where no other user can have written them, and only if their che
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import pickle
@@ -26,7 +25,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from hydro_env.errors import InputError
-from hydro_env.files import naming
+from hydro_env.files import naming, sha256_of
 from hydro_env.pickles import distrust
 
 SUMS = "sha256.json"
@@ -98,17 +97,12 @@ def _write(folder: Path, model: BaseAlgorithm, progress: dict[str, Any]) -> None
     generators = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
     (folder / "generators.pkl").write_bytes(pickle.dumps(generators))
     (folder / "progress.json").write_text(json.dumps(progress, indent=1), encoding="utf-8")
-    sums = {path.name: _digest(path) for path in sorted(folder.iterdir())}
+    sums = {path.name: sha256_of(path) for path in sorted(folder.iterdir())}
     (folder / SUMS).write_text(json.dumps(sums, indent=1), encoding="utf-8")
     for path in folder.iterdir():
         path.chmod(0o600)
         with open(path, "rb+") as file:
             os.fsync(file.fileno())
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _check(checkpoint: Path) -> None:
@@ -122,7 +116,7 @@ def _check(checkpoint: Path) -> None:
     for path in [checkpoint, *(checkpoint / name for name in names)]:
         try:
             reason = distrust(path)
-            whole = path == checkpoint or _digest(path) == sums[path.name]
+            whole = path == checkpoint or sha256_of(path) == sums[path.name]
         except OSError as problem:
             raise InputError(f"{path}: {problem.strerror}; put back a whole copy, or {_AFRESH}") from None
         if reason:

@@ -62,13 +62,12 @@ class Valve:
 
 @dataclass(frozen=True)
 class Tested:
-    """One valve on the bench: all sweeps, the slowest of them (`curve`) and its figures, the check of all rates; its
+    """One valve on the bench: all sweeps, the figures of the slowest of them (`figures.curve`), the check of all rates; its
     model if it has one.
     """
 
     source: str
     sweeps: tuple[Curve, ...]
-    curve: Curve
     figures: Figures
     rates: RateCheck
     model: Valve | None = None
@@ -147,26 +146,24 @@ def _tested(source: str, sweeps: list[Curve], model: Valve | None = None) -> Tes
             check = check_rates(sweeps)
     except InputError as problem:
         raise InputError(f"{source}: {str(problem).removeprefix(f'{slowest.name}: ')}") from None
-    return Tested(source, tuple(sweeps), slowest, figures, check, model)
+    return Tested(source, tuple(sweeps), figures, check, model)
 
 
 def _named_apart(tested: Sequence[Tested]) -> list[Tested]:
     """Valves of the same name get numbers, so that a pair can be named."""
-    names = [each.curve.name for each in tested]
+    names = [each.figures.curve.name for each in tested]
     apart = []
-    for n, each in enumerate(tested):
-        name = names[n]
+    for n, (name, each) in enumerate(zip(names, tested, strict=True)):
         if names.count(name) > 1:
             name = f"{name} ({names[: n + 1].count(name)})"
-        curve, figures = replace(each.curve, name=name), replace(each.figures, name=name)
-        model = each.model and replace(each.model, name=name)
-        apart.append(replace(each, curve=curve, figures=figures, model=model))
+        figures = replace(each.figures, curve=replace(each.figures.curve, name=name))
+        apart.append(replace(each, figures=figures, model=each.model and replace(each.model, name=name)))
     return apart
 
 
 def pairs_of(tested: Sequence[Tested]) -> list[dict[str, Any]]:
     """All pairs of valves with flow curves by name and distance, the most alike first."""
-    curves = [each.curve for each in tested if each.figures.kind == FLOW]
+    curves = [each.figures.curve for each in tested if each.figures.kind == FLOW]
     return [
         {"valves": [curves[i].name, curves[j].name], "distance_percent": apart}
         for apart, i, j in most_alike(curves)
@@ -206,10 +203,10 @@ def branches_csv(tested: Sequence[Tested]) -> str:
     """The averaged branches as text: valve, direction, signal in percent of the rated one, flow in l/min."""
     lines = ["valve,direction,signal_percent,flow_lpm"]
     for each in tested:
-        loop = loop_of(each.curve)
-        name = '"' + each.curve.name.replace('"', "'") + '"' if "," in each.curve.name else each.curve.name
+        curve, loop = each.figures.curve, loop_of(each.figures.curve)
+        name = '"' + curve.name.replace('"', "'") + '"' if "," in curve.name else curve.name
         for word, branch in (("rising", loop.rising), ("falling", loop.falling)):
             if branch is not None:
-                cells = zip(each.curve.percent(branch.signal), branch.flow / LPM, strict=True)
+                cells = zip(curve.percent(branch.signal), branch.flow / LPM, strict=True)
                 lines += [f"{name},{word},{x:.5g},{q:.6g}" for x, q in cells]
     return "\n".join(lines) + "\n"

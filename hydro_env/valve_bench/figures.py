@@ -62,14 +62,11 @@ class Side:
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a valve. What the curve does not tell is None, and `findings` says why."""
+    """All figures of the valve of a `curve`. What that does not tell is None, and `findings` says why."""
 
-    name: str
+    curve: Curve
     kind: str
-    signal_unit: str
-    rated: float
     noise: float
-    travel_per_signal: float | None
     findings: tuple[str, ...]
     positive: Side | None = None
     negative: Side | None = None
@@ -87,9 +84,9 @@ class Figures:
     def as_json(self) -> dict[str, Any]:
         """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
         found = {
-            "name": self.name,
+            "name": self.curve.name,
             "kind": self.kind,
-            "rated_signal": {"value": self.rated, "unit": self.signal_unit},
+            "rated_signal": {"value": self.curve.rated, "unit": self.curve.signal_unit},
             "positive": self._side(self.positive),
             "negative": self._side(self.negative),
             "hysteresis": {
@@ -113,12 +110,12 @@ class Figures:
         return found
 
     def _percent(self, signal: float | None) -> float | None:
-        return None if signal is None else 100.0 * signal / self.rated
+        return None if signal is None else float(self.curve.percent(signal))
 
     def _side(self, side: Side | None) -> dict[str, Any] | None:
         if side is None:
             return None
-        data, travel = asdict(side), self.travel_per_signal
+        data, travel = asdict(side), self.curve.travel_per_signal
         gain, most = data.pop("gain"), data.pop("maximum_flow")
         return {
             **data,
@@ -141,8 +138,7 @@ def identify(curve: Curve) -> Figures:
         notes.append(f"recorded in steps of {shares}, which limits every figure")
     found = _flow(curve, loop, steps, notes) if loop.kind == FLOW else _leakage(curve, loop, notes)
     findings = (*curve.findings, *(f"{curve.name}: {each}" for each in notes))
-    valve = curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal
-    return Figures(curve.name, loop.kind, *valve, findings, **found)
+    return Figures(curve, loop.kind, loop.noise, findings, **found)
 
 
 def _flow(curve: Curve, loop: Loop, steps: tuple[float, float], notes: list[str]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.next_experiment import NextExperiment
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, simulate
 from hydro_env.practice.generate import make_practice
-from hydro_env.practice.played import plans_of
+from hydro_env.practice.manoeuvres import plans_of
 from hydro_env.units import BAR, RPM
 
 NOISE = {(0, "speed"): RPM, (0, "current"): 0.002, (0, "pressure"): 0.05 * BAR}

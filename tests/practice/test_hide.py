@@ -305,12 +305,16 @@ def test_the_same_rig_plays_commands_from_a_file(tmp_path):
     ("text", "words"),
     [
         ("time_s,speed_1_rpm\n0,0\n1,0\n", "columns time_s and command_1_V"),
-        ("time_s,command_1_V\n", "with rows below them"),
+        ("time_s,command_1_V\n", "only a header, no rows"),
         ("time_s,command_1_V\n0,0\n", "at least two rows"),
         ("time_s,command_1_V\n0,0\n1,x\n", "row 3, column 'command_1_V': 'x' is not a number"),
-        ("time_s,command_1_V\n0,0\n1\n", "row 3, column 'command_1_V': None is not a number"),
-        ("time_s,command_1_V\n0,0\n1,74\n", "row 3: command_1_V is 74; the rated command is 73 V"),
-        ("time_s,command_1_V\n0,0\n1,0\n1,0\n", "row 4: time_s does not rise"),
+        ("time_s,command_1_V\n0,0\n1\n", "row 3 has 1 cells, the header has 2"),
+        ("time_s,command_1_V\n0,0\n1,\n", "row 3, column 'command_1_V': no number"),
+        (
+            "time_s,command_1_V\n0,0\n1,74\n",
+            "row 3, column 'command_1_V': 74 is beyond the rated command of 73 V",
+        ),
+        ("time_s,command_1_V\n0,0\n1,0\n1,0\n", "row 4, column 'time_s': does not rise"),
         ("time_s,command_1_V\n0,0\n5000,0\n", "3600 s at most"),
     ],
 )

@@ -28,7 +28,7 @@ ALLOWED = {
     "streams": "jit",
     "parallel": "errors files pickles",
     "plant": "errors files reading units validation ir jit",
-    "practice": "errors files reading limits units jit waveforms plant",
+    "practice": "errors files reading limits units jit waveforms plant measured",
     "tasks": "errors files reading units validation streams plant",
     "measured": "errors files reading units validation",
     "envs": "errors files limits units jit streams plant tasks",

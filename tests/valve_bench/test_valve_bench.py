@@ -629,7 +629,7 @@ def test_what_a_curve_lacks_is_said_of_its_file(tmp_path: Path) -> None:
 
 def test_valves_of_one_name_are_told_apart() -> None:
     tested = bench(["paper:1", "paper:1"], Sweeps(seconds=(2.0,)), progress=False)
-    assert [each.curve.name for each in tested] == ["paper:1 (1)", "paper:1 (2)"]
+    assert [each.figures.curve.name for each in tested] == ["paper:1 (1)", "paper:1 (2)"]
 
 
 # --- measured on a real machine -----------------------------------------------------------------------------------------
@@ -675,7 +675,7 @@ def test_a_batch_of_rigs_on_the_bench():
         here = identify(rigs[0][channel])
         for side in ("positive", "negative"):
             one, other = getattr(alone, side), getattr(here, side)
-            assert abs(one.dead_zone - other.dead_zone) < 0.005 * here.rated
+            assert abs(one.dead_zone - other.dead_zone) < 0.005 * here.curve.rated
             assert other.gain == pytest.approx(one.gain, rel=0.01)
     null = [identify(pair[0]).null for pair in rigs[:2]]
     travel = model.value("alpha", 0) / model.value("k", 0) / model.value("R", 0)

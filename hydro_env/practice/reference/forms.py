@@ -103,8 +103,6 @@ def checked(constants: Constants | None) -> Constants:
     """`MIDDLE` where nothing is given. InputError for a name that is missing or unknown."""
     if constants is None:
         return MIDDLE
-    wrong = sorted({*constants} ^ {*MIDDLE})
-    if wrong:
-        problem = "unknown" if wrong[0] in constants else "missing"
-        raise InputError(f"form constants: {wrong[0]!r} is {problem}")
+    for name in sorted({*constants} ^ {*MIDDLE}):
+        raise InputError(f"form constants: {name!r} is {'unknown' if name in constants else 'missing'}")
     return constants
