@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 from typer import Typer
@@ -13,10 +12,9 @@ from typer.core import TyperCommand, TyperGroup
 @cache
 def lists(name: str) -> dict[str, list[str]]:
     """What stands in a file of the package, examples.yaml or headings.yaml."""
-    import yaml
+    from hydro_env.reading import shipped_yaml
 
-    text = files("hydro_env.cli").joinpath(name).read_text(encoding="utf-8")
-    found: dict[str, list[str]] = yaml.safe_load(text)
+    found: dict[str, list[str]] = shipped_yaml("hydro_env.cli", name)
     return found
 
 

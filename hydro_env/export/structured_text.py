@@ -148,7 +148,7 @@ class Names:
         self._here.add(key)
         return made
 
-    def of_part(self, schedule: Schedule, named: dict[Expr, tuple[str, int]]) -> dict[str, str]:
+    def of_part(self, schedule: Schedule, named: dict[Any, tuple[str, int]]) -> dict[str, str]:
         """New names of the variables of a part, by their old ones: what the controller's own variable is called (`named`), else
         what it is a part of."""
         self._here = set()
