@@ -77,10 +77,8 @@ class Schedule:
             return var(self.names[x], x.kind)
         if x.op == "const":
             return const(x.value, x.kind)
-        if x.op in ("leaf", "item"):
-            found = self._slice_of([x])
-            assert found is not None
-            return _at(found, const(0, "int"))
+        if place := self._place(x):
+            return nodes.Expr("load", x.kind, (const(place[1], "int"),), place[0])
         return nodes.Expr(x.op, x.kind, tuple(map(self._lowered, x.args)))
 
     # --- what is computed before ----------------------------------------------------------------------------------
@@ -189,21 +187,12 @@ class Schedule:
         for place in {each for each in handed if isinstance(each, int)} | {*written}:
             before = call.before[place]
             if place in written:
-                places[place] = self._copied(before)
+                places[place] = self._filled("a", before)
                 self.names[call.after[place]] = places[place].name
             else:
                 places[place] = self._slice_of(before) or self._filled("a", before)
         given = tuple(self._handed(each, places) for each in handed)
         self.body.append(Run(nodes.Expr("call", "int", given, name)))
-
-    def _copied(self, row: list[Expr]) -> Arr:
-        """A new array of expressions that may lie side by side in another one."""
-        found = self._slice_of(row)
-        if found is None:
-            return self._filled("a", row)
-        name = self._fresh("a", row[0].kind, len(row))
-        self.body.append(self._loop(len(row), [Store(name, _I, _at(found, _I))]))
-        return _part(name, row[0].kind)
 
     def _handed(self, each: Handed, places: dict[int, Arr]) -> nodes.Expr:
         if isinstance(each, int):
@@ -228,7 +217,7 @@ class Schedule:
                 x, place = run[0], const(start + n, "int")
                 if len(run) > 1:
                     in_state = x.op == "leaf" and x.value[0] != "measured"  # which is stored to
-                    value = _at(self._copied(run) if in_state else self._gathered(run), _I)
+                    value = _at(self._filled("a", run) if in_state else self._gathered(run), _I)
                     yield self._loop(len(run), [Store(array, add(_I, place), value)])
                 else:
                     at_hand = x.op in ("const", "item") or x in self.names
