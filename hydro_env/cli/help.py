@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from typer import Typer
@@ -12,9 +13,10 @@ from typer.core import TyperCommand, TyperGroup
 @cache
 def lists(name: str) -> dict[str, list[str]]:
     """What stands in a file of the package, examples.yaml or headings.yaml."""
-    from hydro_env.reading import shipped_yaml
+    import yaml
 
-    found: dict[str, list[str]] = shipped_yaml("hydro_env.cli", name)
+    text = files("hydro_env.cli").joinpath(name).read_text(encoding="utf-8")
+    found: dict[str, list[str]] = yaml.safe_load(text)
     return found
 
 
