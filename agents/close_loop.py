@@ -22,7 +22,7 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.close_loop import SOURCES, collect, summary
-from hydro_env.experiments.closed_loop_reference import drive
+from hydro_env.experiments.close_loop_drives import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import constants_of

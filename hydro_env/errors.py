@@ -56,16 +56,22 @@ class InputWarning(UserWarning):
 
 def place_of(problem: BaseException) -> str:
     """`file.py line 12`, where code from outside of this package raised an error, "" where none did; of code that calls other
-    code of its own file the innermost line. Installed libraries do not count.
+    code of its own file the innermost line. Installed libraries and Python's own do not count.
     """
-    package = str(Path(__file__).parent)
+    ours = str(Path(__file__).parent), str(Path(traceback.__file__).parent), "<"
     outside = [
         frame
         for frame in traceback.extract_tb(problem.__traceback__)
-        if not frame.filename.startswith((package, "<")) and "site-packages" not in frame.filename
+        if not frame.filename.startswith(ours) and "site-packages" not in frame.filename
     ]
     lines = [frame.lineno for frame in outside if frame.filename == outside[0].filename]
     return f"{outside[0].filename} line {lines[-1]}" if outside else ""
+
+
+def described(problem: BaseException) -> str:
+    """Any error in a line: its class, its text, cut to 300 letters, and where code from outside of this package raised it."""
+    place = f" ({found})" if (found := place_of(problem)) else ""
+    return f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300] + place
 
 
 def nearest(word: object, known: Iterable[str]) -> str | None:

@@ -26,7 +26,7 @@ from hydro_env.controllers.registry import make_controller, source_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import InputError, place_of, shown
+from hydro_env.errors import InputError, shown
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, Metric, Trace, never_settled
@@ -189,25 +189,13 @@ def drive(
     """The cells with their scores, or why they failed; a folder keeps those that are done."""
     store = None if folder is None else Store(folder, partial(_key, conditions=conditions))
     done = run_tasks(
-        cells, partial(_run_cell, conditions=conditions), engine=engine, jobs=jobs, progress=progress, unit="episode",
+        cells, partial(_driven, conditions=conditions), engine=engine, jobs=jobs, progress=progress, unit="episode",
         size=lambda cell: cell.cases, store=store,
     )  # fmt: skip
     return [
         replace(cell, failure=result.reason) if isinstance(result, Failure) else result
         for cell, result in zip(cells, done, strict=True)
     ]
-
-
-def _run_cell(cell: Cell, conditions: Conditions) -> Cell | Failure:
-    """The cell with its scores. Whatever a controller raises is the failure of its cell alone; it says where in the user's own
-    file that was.
-    """
-    try:
-        return _driven(cell, conditions)
-    except Exception as problem:
-        if not (place := place_of(problem)):
-            raise
-        return Failure(f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300] + f" ({place})")
 
 
 def _driven(cell: Cell, conditions: Conditions) -> Cell:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -52,9 +53,6 @@ def live(
     from hydro_env.live.run import Run
     from hydro_env.plant import load_effects, load_model
 
-    def told(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
     load_effects(effect_files or [])
     rig, model = load_link(link), load_model(plant)
     limit = (rig.command_limit_percent if command_limit is None else command_limit) / 100.0
@@ -62,6 +60,7 @@ def live(
         driver = played(experiment, rig, model)
     else:
         driver = controlled(str(controller), rig, model, scenario, (limit, rig.rate_limit), trust)
+    told = partial(print, file=sys.stderr, flush=True)
     for line in rig.warnings(limit):
         told(line)
     if Run(rig, driver, out, model.pair("u_rated"), limit=limit, duration=duration, told=told)():

@@ -29,8 +29,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.base import Floats
 from hydro_env.diagnosis import diagnose
 from hydro_env.errors import InputError, check_known
-from hydro_env.experiments import close_loop_tuning as tuning
-from hydro_env.experiments.closed_loop_reference import drive
+from hydro_env.experiments import close_loop_drives as drives
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
 from hydro_env.parallel import Failure, Store
@@ -150,9 +149,9 @@ class Score:
         if self.gains is None:
             controller: Any = make_controller(name)
         else:
-            controller = tuning.LAWS[name].build(name, rig.models[self.source], self.gains)
+            controller = drives.LAWS[name].build(name, rig.models[self.source], self.gains)
         forms = {"forms": rig.truth["forms"], "constants": constants_of(rig.truth)}
-        return scored(drive(controller, rig.models["true"], self.scenario, rig.task.seed, **forms))
+        return scored(drives.drive(controller, rig.models["true"], self.scenario, rig.task.seed, **forms))
 
 
 def scored(trace: Trace) -> dict[str, Any]:
@@ -274,7 +273,7 @@ class Settings:
     cases: tuple[str, ...] = tuple(CASES)
     seeds: int = 2
     seed: int = 0
-    generations: int = tuning.GENERATIONS
+    generations: int = drives.GENERATIONS
 
     def __post_init__(self) -> None:
         check_known("unknown case", self.cases, CASES)
@@ -297,9 +296,8 @@ def run(
     Returns the content of close_loop.json. InputError if nothing could be done.
     """
     out, settings = Path(out), settings or Settings()
-    store = (
-        None if cells is None else Store(cells, repr)
-    )  # the text of a task holds all that its result depends on
+    # The text of a task holds all that its result depends on.
+    store = None if cells is None else Store(cells, repr)
     work = partial(run_tasks, function=_work, engine=engine, jobs=jobs, progress=progress, store=store)
     failed: list[dict[str, str]] = []
 
@@ -315,14 +313,13 @@ def run(
         raise InputError(f"no rig could be made: {failed[0]['reason']}")
     wanted = {rig.task: _tunings(rig, settings.generations) for rig in rigs}
     tuned = dict(done(list(dict.fromkeys(chain(*wanted.values()))), "tuning"))
-    drives: list[
-        Score
-    ] = []  # of every law that could be tuned and every shipped controller, on every rig and scenario
+    # Of every law that could be tuned and every shipped controller, on every rig and scenario.
+    tasks: list[Score] = []
     for rig, scenario in product(rigs, SCENARIOS):
-        own = [task for task in wanted[rig.task] if task in tuned]
-        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
-        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
-    scores = [{**task.row(), **result} for task, result in done(drives, "drive")]
+        own = [each for each in wanted[rig.task] if each in tuned]
+        tasks += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
+        tasks += [Score(name, "none", rig, scenario) for name in SHIPPED]
+    scores = [{**task.row(), **result} for task, result in done(tasks, "drive")]
     data = {
         "schema": SCHEMA, "settings": _settings_row(settings, rigs), "rigs": [rig.row() for rig in rigs],
         "gains": [{**task.row(), **found} for task, found in tuned.items()], "scores": scores,
@@ -333,21 +330,21 @@ def run(
     return data
 
 
-def _tunings(rig: Rig, generations: int) -> list[tuning.Tuning]:
+def _tunings(rig: Rig, generations: int) -> list[drives.Tuning]:
     """Every law on every model of a rig; the wrong model is one for all rigs of a seed."""
     own = {source: "" if source == "wrong" else str(rig.task) for source in SOURCES}
     return [
-        tuning.Tuning(law, source, own[source], rig.models[source], rig.task.seed, generations)
-        for law, source in product(tuning.LAWS, SOURCES)
+        drives.Tuning(law, source, own[source], rig.models[source], rig.task.seed, generations)
+        for law, source in product(drives.LAWS, SOURCES)
     ]
 
 
 def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
     return {
         "cases": {case: list(CASES[case]) for case in settings.cases}, "seeds": [settings.seed, settings.seeds],
-        "base_error": BASE_ERROR, "log_s": DURATION, "tuned_on": load_scenario(tuning.TUNED_ON).name,
-        "episodes_of_a_tuning": tuning.TUNING_EPISODES * tuning.POPULATION * settings.generations,
-        "weight": tuning.WEIGHT,
+        "base_error": BASE_ERROR, "log_s": DURATION, "tuned_on": load_scenario(drives.TUNED_ON).name,
+        "episodes_of_a_tuning": drives.TUNING_EPISODES * drives.POPULATION * settings.generations,
+        "weight": drives.WEIGHT,
         "truth": "practice.reference, forms: " + ", ".join(sorted({rig.truth["forms"] for rig in rigs})),
     }  # fmt: skip
 

@@ -58,16 +58,15 @@ def commands(kind: str, rows: int, rigs: int, rng: np.random.Generator) -> Float
     """Commands of one of `KINDS`, (rows, rigs, 2), fractions of the rated one: what a controller does (slow motion with a little
     unrest), and what policies without training send, which drives spools into their end stops.
     """
-    if kind == "smooth":
-        phase = rng.uniform(0, 2 * np.pi, (rigs, 2))
-        time_s = np.arange(rows)[:, None, None] * PERIOD
-        return 0.75 * np.sin(2 * np.pi * 0.4 * time_s + phase) + rng.normal(0.0, 0.014, (rows, rigs, 2))
-    shares = {
-        "uniform": lambda size: rng.uniform(-1.0, 1.0, size),
-        "gaussian": lambda size: np.clip(rng.normal(0.0, 1.0, size), -1.0, 1.0),
-        "bang_bang": lambda size: rng.choice([-1.0, 1.0], size),
-    }
-    return np.asarray(shares[kind]((rows, rigs, 2)))
+    size = rows, rigs, 2
+    if kind == "uniform":
+        return rng.uniform(-1.0, 1.0, size)
+    if kind == "gaussian":
+        return np.clip(rng.normal(0.0, 1.0, size), -1.0, 1.0)
+    if kind == "bang_bang":
+        return rng.choice([-1.0, 1.0], size)
+    time_s, phase = np.arange(rows)[:, None, None] * PERIOD, rng.uniform(0, 2 * np.pi, (rigs, 2))
+    return 0.75 * np.sin(2 * np.pi * 0.4 * time_s + phase) + rng.normal(0.0, 0.014, size)
 
 
 def measure_single(seconds: float = 1.0) -> dict[str, float]:

@@ -5,8 +5,7 @@ plant_source     the rig in C, from the kernel's generated module
 fmu              a Functional Mock-up Unit around it
 symbols, tracing a controller's own Python, run on symbols, as a program
 copies           copies of its modules, in which it may be run on symbols
-kernels          the compiled functions that it calls
-schedule         the program as typed statements, in the order in which it is computed
+schedule         the program as typed statements, in the order in which it is computed; compiled functions that it calls
 c_code, structured_text  the program in C and in Structured Text
 templates        what is the same in all sources
 onnx             networks as ONNX graphs

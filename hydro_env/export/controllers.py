@@ -13,7 +13,7 @@ from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.tuning.gains import read_gains
-from hydro_env.errors import InputError, place_of
+from hydro_env.errors import InputError, described
 from hydro_env.files import write_json, write_text
 from hydro_env.ir.reader import TranslationError
 from hydro_env.plant import Plant, PlantModel, load_model, scales_of
@@ -45,8 +45,7 @@ def program_of(
     except (TraceError, TranslationError) as problem:
         raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
-        place = f" ({place_of(problem)})" if place_of(problem) else ""
-        raise _refusal(spec, f"{type(problem).__name__}: {problem}{place}") from problem
+        raise _refusal(spec, described(problem)) from problem
 
 
 def _refusal(spec: str, why: object) -> InputError:

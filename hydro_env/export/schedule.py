@@ -14,10 +14,9 @@ import numpy as np
 
 from hydro_env.ir import nodes
 from hydro_env.ir.nodes import Assign, For, Run, Statement, Store, add, cast, const, mul, op, var
-from hydro_env.ir.reader import Arr, Reader
+from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError, Value, constant_of
 
-from .kernels import Handed, kernel_call
-from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, below, each_once
+from .symbols import DTYPES, Block, Expr, Kernel, MaskedRows, Symbols, below, each_once
 
 #: Operations that an expression may hold inside of one another.
 MAX_DEPTH = 5
@@ -25,6 +24,8 @@ MAX_DEPTH = 5
 #: where that holds them exactly.
 MIN_LOOP, MIN_TABLE = 4, 64
 _I, _J = var("i", "int"), var("j", "int")
+#: What a recorded call hands over: the number of an array, an expression, or the mask that says whether there is a row.
+Handed = int | Expr | MaskedRows
 
 
 def _part(array: str, kind: str, start: int = 0) -> Arr:
@@ -50,8 +51,8 @@ class Schedule:
         self.names: dict[Any, str] = {}
         self._depth: dict[Any, int] = {}
         self._uses = _uses(assignments.values())
-        for expression in assignments.values():
-            self._prepare(expression)
+        for node in each_once(assignments.values()):
+            self._prepare(node)
         self.body += list(self._stores(assignments))
 
     # --- names ----------------------------------------------------------------------------------------------------
@@ -76,35 +77,24 @@ class Schedule:
             return var(self.names[x], x.kind)
         if x.op == "const":
             return const(x.value, x.kind)
-        if x.op in ("leaf", "item"):
-            found = self._slice_of([x])
-            assert found is not None
-            return _at(found, const(0, "int"))
+        if place := self._place(x):
+            return nodes.Expr("load", x.kind, (const(place[1], "int"),), place[0])
         return nodes.Expr(x.op, x.kind, tuple(map(self._lowered, x.args)))
 
     # --- what is computed before ----------------------------------------------------------------------------------
-    def _prepare(self, root: Any) -> None:
-        """Adds the statements for everything below a node, and the node itself where it has a variable."""
-        stack = [(root, False)]
-        while stack:
-            node, ready = stack.pop()
-            if node in self._depth:
-                continue
-            if not ready:
-                stack.append((node, True))
-                stack += [(each, False) for each in reversed(below(node)) if each not in self._depth]
-                continue
-            self._depth[node] = 0
-            if isinstance(node, Expr) and node.op not in ("const", "leaf", "item"):
-                depth = 1 + max((self._depth[each] for each in node.args), default=0)
-                if self._uses[node] > 1 or depth > MAX_DEPTH:
-                    self._variable(node)
-                else:
-                    self._depth[node] = depth
-            elif isinstance(node, Block):
-                self._block(node)
-            elif isinstance(node, Kernel):
-                self._call(node)
+    def _prepare(self, node: Any) -> None:
+        """Adds the statements for a node, where it has a variable, once all below it has its own."""
+        self._depth[node] = 0
+        if isinstance(node, Expr) and node.op not in ("const", "leaf", "item"):
+            depth = 1 + max((self._depth[each] for each in node.args), default=0)
+            if self._uses[node] > 1 or depth > MAX_DEPTH:
+                self._variable(node)
+            else:
+                self._depth[node] = depth
+        elif isinstance(node, Block):
+            self._block(node)
+        elif isinstance(node, Kernel):
+            self._call(node)
 
     def _place(self, x: Expr) -> tuple[str, int] | None:
         """The array in which a number lies and its index there, None where it has yet to be computed."""
@@ -192,26 +182,17 @@ class Schedule:
         self.body.append(self._loop(rows, inner))
 
     def _call(self, call: Kernel) -> None:
-        how = kernel_call(call, self._reader)
+        name, handed, written = kernel_call(call, self._reader)
         places: dict[int, Arr] = {}
-        for place in {each for each in how.handed if isinstance(each, int)} | {*how.written}:
+        for place in {each for each in handed if isinstance(each, int)} | {*written}:
             before = call.before[place]
-            if place in how.written:
-                places[place] = self._copied(before)
+            if place in written:
+                places[place] = self._filled("a", before)
                 self.names[call.after[place]] = places[place].name
             else:
                 places[place] = self._slice_of(before) or self._filled("a", before)
-        handed = [self._handed(each, places) for each in how.handed]
-        self.body.append(Run(nodes.Expr("call", "int", tuple(handed), how.name)))
-
-    def _copied(self, row: list[Expr]) -> Arr:
-        """A new array of expressions that may lie side by side in another one."""
-        found = self._slice_of(row)
-        if found is None:
-            return self._filled("a", row)
-        name = self._fresh("a", row[0].kind, len(row))
-        self.body.append(self._loop(len(row), [Store(name, _I, _at(found, _I))]))
-        return _part(name, row[0].kind)
+        given = tuple(self._handed(each, places) for each in handed)
+        self.body.append(Run(nodes.Expr("call", "int", given, name)))
 
     def _handed(self, each: Handed, places: dict[int, Arr]) -> nodes.Expr:
         if isinstance(each, int):
@@ -236,7 +217,7 @@ class Schedule:
                 x, place = run[0], const(start + n, "int")
                 if len(run) > 1:
                     in_state = x.op == "leaf" and x.value[0] != "measured"  # which is stored to
-                    value = _at(self._copied(run) if in_state else self._gathered(run), _I)
+                    value = _at(self._filled("a", run) if in_state else self._gathered(run), _I)
                     yield self._loop(len(run), [Store(array, add(_I, place), value)])
                 else:
                     at_hand = x.op in ("const", "item") or x in self.names
@@ -249,3 +230,41 @@ def _uses(roots: Iterable[Expr]) -> Counter[Any]:
     for node in each_once(roots):
         counts.update(below(node))
     return counts
+
+
+def kernel_call(call: Kernel, reader: Reader) -> tuple[str, list[Handed], list[int]]:
+    """A recorded call of a compiled function, which `reader` reads: its name, what it is handed, and which arrays it changes."""
+    marks: dict[str, Handed] = {}
+    numbers = iter(call.numbers)
+
+    def value(argument: Any) -> Value:
+        """An argument as a value whose name is a mark for what stands there."""
+        mark = f"mark{len(marks)}"
+        if isinstance(argument, Symbols) and argument.ndim:
+            marks[mark] = next(n for n, each in enumerate(call.arrays) if each is argument)
+            return Arr.of(argument.kind, mark, argument.shape)
+        if isinstance(argument, Symbols):
+            number = next(numbers)
+            if number.op == "const":
+                return const(number.value, number.kind)
+            marks[mark] = number
+            return var(mark, number.kind)
+        if isinstance(argument, MaskedRows):
+            marks[mark] = argument
+            marks[f"{mark}_count"] = next(numbers)
+            return Arr.of("int", mark, [var(f"{mark}_count", "int")])
+        if hasattr(argument, "_fields"):
+            return Rec({name: value(getattr(argument, name)) for name in argument._fields})
+        if isinstance(argument, np.ndarray) and argument.ndim:
+            return reader.table(argument)
+        known = constant_of(argument.item() if isinstance(argument, np.ndarray) else argument)
+        if known is None:
+            raise TranslationError(f"an argument of type {type(argument).__name__} cannot be passed on")
+        return known
+
+    called = reader.call(call.function, list(map(value, call.arguments)))
+    if called.result is not None:
+        raise TranslationError(f"{call.function.__name__}: returns a value, which cannot be followed")
+    changed = {marks[each] for each in called.written if each in marks}
+    handed = [marks[each.value] for each in called.handed]
+    return called.name, handed, sorted(each for each in changed if isinstance(each, int))

@@ -119,15 +119,18 @@ def below(node: Any) -> list[Any]:
 
 
 def each_once(roots: Iterable[Any]) -> Iterator[Any]:
-    """Some nodes and all below them."""
-    seen: set[Any] = set()
-    stack = list(roots)
+    """Some nodes and all below them, each after what it is computed from."""
+    done: set[Any] = set()
+    stack = [*roots][::-1]
     while stack:
         node = stack.pop()
-        if node not in seen:
-            seen.add(node)
+        if node in done:
+            continue
+        if waiting := [each for each in below(node) if each not in done]:
+            stack += [node, *reversed(waiting)]
+        else:
+            done.add(node)
             yield node
-            stack += below(node)
 
 
 #: The expressions of a trace by what they are.

@@ -24,7 +24,7 @@ from hydro_env.ir.reader import Reader
 from hydro_env.plant import PAPER, Scales
 
 from .copies import Copies
-from .kernels import kernel_call
+from .schedule import kernel_call
 from .symbols import (
     Expr,
     Items,
@@ -124,7 +124,7 @@ class _Recorder:
         ]
         before = [array.elements() for array in arrays]
         call = Kernel(self._function, arguments, arrays, before, numbers)
-        for place in kernel_call(call, self._reader).written:
+        for place in kernel_call(call, self._reader)[2]:
             array = arrays[place]
             after = call.after[place] = Items(call, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)

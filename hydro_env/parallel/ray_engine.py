@@ -13,10 +13,10 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydro_env.errors import InputError, to_install
+from hydro_env.errors import InputError, described, to_install
 
 from .store import fingerprint
-from .tasks import ATTEMPTS, Failure, answer, died, in_one_line, unsendable
+from .tasks import ATTEMPTS, Failure, answer, died, unsendable
 
 
 def on_ray(tasks: Sequence[Any], function: Callable[[Any], Any]) -> Generator[tuple[int, Any], None, None]:
@@ -53,7 +53,7 @@ def _failure(ray: Any, problem: Exception) -> Failure:
     cause = problem.cause if isinstance(problem.cause, BaseException) else problem
     if isinstance(cause, InputError):  # another hydro_env over there: no result would be worth anything
         raise InputError(str(cause)) from None
-    return Failure(in_one_line(cause))
+    return Failure(described(cause))
 
 
 def _remote(work: tuple[bytes, str, list[str], str], task: bytes) -> bytes:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hydro_env.errors import described
+
 #: How often a task is started whose process dies.
 ATTEMPTS = 3
 
@@ -28,15 +30,15 @@ def died(how: str) -> Failure:
 
 def unsendable(where: str, problem: Exception) -> Failure:
     """The failure of a task that cannot be pickled."""
-    return Failure(f"cannot be sent to {where}: {in_one_line(problem)}")
+    return Failure(f"cannot be sent to {where}: {described(problem)}")
 
 
 def attempt(function: Callable[[Any], Any], task: Any) -> Any:
-    """The result, or the failure that says what was raised. `sys.exit` ends the task, not the run."""
+    """The result, or the failure that says what was raised, in a user's file also where. `exit` ends the task, not the run."""
     try:
         return function(task)
     except (Exception, SystemExit) as problem:
-        return Failure(in_one_line(problem))
+        return Failure(described(problem))
 
 
 def answer(function: Callable[[Any], Any], content: bytes) -> bytes:
@@ -45,9 +47,4 @@ def answer(function: Callable[[Any], Any], content: bytes) -> bytes:
     try:
         return pickle.dumps(result)
     except Exception as problem:
-        return pickle.dumps(Failure(f"its result cannot be sent: {in_one_line(problem)}"))
-
-
-def in_one_line(problem: BaseException) -> str:
-    """Class and text of an exception, cut to 300 letters."""
-    return f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300]
+        return pickle.dumps(Failure(f"its result cannot be sent: {described(problem)}"))

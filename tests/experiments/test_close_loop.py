@@ -15,10 +15,9 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.classical.model_inverse import ModelInverse, flow_curve
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
-from hydro_env.experiments import close_loop, close_loop_tuning
+from hydro_env.experiments import close_loop, close_loop_drives
 from hydro_env.experiments.close_loop import METRICS, SCENARIOS, SOURCES, RigTask, Score, Settings
-from hydro_env.experiments.close_loop_tuning import LAWS, Tuning
-from hydro_env.experiments.closed_loop_reference import drive
+from hydro_env.experiments.close_loop_drives import LAWS, Tuning, drive
 from hydro_env.plant import PlantModel, load_model
 from hydro_env.tasks import load_scenario
 
@@ -114,9 +113,9 @@ def test_the_inverse_drives_rows_alike(truth: PlantModel) -> None:
 def test_tuning_repeats_and_stays_in_range(
     law: str, truth: PlantModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(close_loop_tuning, "POPULATION", 6)
-    monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
-    monkeypatch.setattr(close_loop_tuning, "TUNED_ON", SHORT)
+    monkeypatch.setattr(close_loop_drives, "POPULATION", 6)
+    monkeypatch.setattr(close_loop_drives, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop_drives, "TUNED_ON", SHORT)
     task = Tuning(law, "true", "rig", truth, seed=3, generations=2)
     found = task.run()
     assert found == task.run()
@@ -228,13 +227,13 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
     work = close_loop._work
     monkeypatch.setattr(RigTask, "run", made)
     monkeypatch.setattr(close_loop, "_work", noted)
-    monkeypatch.setattr(close_loop_tuning, "POPULATION", 5)
-    monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
-    monkeypatch.setattr(close_loop_tuning, "TUNED_ON", SHORT)
+    monkeypatch.setattr(close_loop_drives, "POPULATION", 5)
+    monkeypatch.setattr(close_loop_drives, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop_drives, "TUNED_ON", SHORT)
     monkeypatch.setattr(close_loop, "SCENARIOS", ("short",))
-    monkeypatch.setattr(close_loop_tuning, "LAWS", {"model_inverse": LAWS["model_inverse"]})
+    monkeypatch.setattr(close_loop_drives, "LAWS", {"model_inverse": LAWS["model_inverse"]})
     monkeypatch.setattr(close_loop, "SHIPPED", ())
-    monkeypatch.setattr("hydro_env.experiments.closed_loop_reference.load_scenario", lambda name: SHORT)
+    monkeypatch.setattr("hydro_env.experiments.close_loop_drives.load_scenario", lambda name: SHORT)
     return done
 
 
@@ -346,7 +345,10 @@ def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: P
 def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
     found = run_loop(tmp_path, cases=["dead_zone"], seeds=2, seed=8, generations=2, progress=False)
     assert [row["rig"] for row in found["rigs"]] == ["dead_zone_8"]
-    assert found["failed"] == [{"task": "dead_zone_9", "reason": "RuntimeError: no such rig"}]
+    (failed,) = found["failed"]
+    assert failed["task"] == "dead_zone_9" and failed["reason"].startswith(
+        f"RuntimeError: no such rig ({__file__}"
+    )
     with pytest.raises(InputError, match="no such rig"):
         run_loop(tmp_path, cases=["dead_zone"], seeds=1, seed=9, progress=False)
 
