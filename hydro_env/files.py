@@ -5,8 +5,6 @@ writes several: they are made in a hidden folder next to their place and moved i
 What cannot be written raises an OSError that names the file. `sha256_of` tells whether a file is still the same.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

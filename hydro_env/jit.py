@@ -8,8 +8,6 @@ Machine code is kept in $HYDRO_ENV_CACHE, else in the user's cache folder, else 
 other users could have written it is not read: it would run. Without any such folder every process compiles.
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import logging

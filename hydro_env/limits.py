@@ -4,8 +4,6 @@ One description serves the options of all commands and the arguments of the envi
 right: "is inf, expected a number from 0.05 to 3600 s".
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from dataclasses import dataclass

@@ -8,8 +8,6 @@
 It is the single environment of the same seed, bit for bit, with the action and the observation divided among the agents.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

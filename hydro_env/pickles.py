@@ -4,8 +4,6 @@ A pickle runs code when it is loaded, and a damaged one may load as something el
 (machine code, results of finished tasks, checkpoints) therefore carries a checksum and lies in a folder of the user.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import stat

@@ -13,8 +13,6 @@ of a bounded size, depth and number of values, and whatever is wrong is one `Inp
   are no tags beyond those of plain data. Python's recursion limit and the alias limit guard against "billion laughs".
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import json

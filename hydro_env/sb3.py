@@ -6,8 +6,6 @@
 It is many times faster than a `DummyVecEnv` of single environments and the same bit for bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

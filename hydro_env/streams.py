@@ -7,8 +7,6 @@ SC11). The stream of a component in an episode of a seed is, word for word, that
     numpy.random.Philox(key=seed, counter=component << 56 | episode << 64 | entropy << 128)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import IntEnum
 from functools import partial

@@ -9,8 +9,6 @@ A table of our own rather than pint: that reads "U/min" (rpm in German headers) 
 second to import.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -8,8 +8,6 @@
 The line names the file and the key, what was found there and what would be right; of an unknown key or name the nearest one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar

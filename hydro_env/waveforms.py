@@ -1,7 +1,5 @@
 """Test signals that simulated experiments share."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`hydro-env benchmark`: scores controllers on the fixed suite and writes scores.json and scores.html."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain

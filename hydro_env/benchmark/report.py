@@ -4,8 +4,6 @@ The page carries its data as JSON and draws with a few lines of JavaScript into 
 Pareto front (synchronisation error over tracking error) and the typical and the worst case behind every row.
 """
 
-from __future__ import annotations
-
 from importlib.resources import files
 from typing import Any
 

@@ -9,8 +9,6 @@ smaller is better, unless `more` is.
 figures are not in SciPy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any

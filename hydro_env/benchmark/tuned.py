@@ -1,7 +1,5 @@
 """Gains for the plant under test: controllers that ship with gains for the paper's plant are tuned for another one first."""
 
-from __future__ import annotations
-
 import hashlib
 import warnings
 from collections.abc import Sequence

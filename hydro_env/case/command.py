@@ -3,8 +3,6 @@
 hydro-env diagnose FIT_LOG... --sealed LOG... [--model PRESET_OR_YAML] [--mapping YAML] [--jobs N] [--seed N] --out DIR
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

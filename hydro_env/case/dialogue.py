@@ -1,7 +1,5 @@
 """The dialogue: `hydro-env diagnose --case DIR` adds the logs that came, diagnoses all of them, and asks or closes."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path

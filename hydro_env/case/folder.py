@@ -10,8 +10,6 @@
 Files appear whole, case.json after all that it speaks of. So a call that is killed leaves a case that the next one goes on with.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from contextlib import suppress

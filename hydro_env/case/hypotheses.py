@@ -7,8 +7,6 @@ pay for: that payment is the prior of the search (PASTIS, Gerardos and Ronceray 
 as likely as they were.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The page of a case: what was known first, each question and its commands, what came back, and how probabilities moved."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from math import ceil
 from pathlib import Path

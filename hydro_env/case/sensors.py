@@ -1,7 +1,5 @@
 """Sensors that an experiment may ask for: what each would show, and whether that is worth its cost."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple

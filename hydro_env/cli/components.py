@@ -1,7 +1,5 @@
 """The commands `describe` and `valve-test`: what data sheets and curves say of components."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

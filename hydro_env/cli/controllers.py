@@ -1,7 +1,5 @@
 """The commands `tune`, `benchmark`, `train` and `dataset`."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from pathlib import Path

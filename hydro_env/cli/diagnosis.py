@@ -1,7 +1,5 @@
 """The commands `hide` and `diagnose`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The commands `demo`, `reproduce`, `speed`, `close-loop` and `pdf`, and `naming-benchmark` with make, run, play and score."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

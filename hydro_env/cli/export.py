@@ -1,7 +1,5 @@
 """The command `export` with what it exports: fmu, c, st, plc, onnx."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from typer import Argument, Context, Option

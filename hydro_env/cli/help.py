@@ -1,7 +1,5 @@
 """What `--help` shows: options in groups, and the examples of examples.yaml, which can be copied."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.resources import files
 from typing import Any

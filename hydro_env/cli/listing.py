@@ -1,7 +1,5 @@
 """The command `list`: the names that the other commands and the environment take."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any

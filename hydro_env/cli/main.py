@@ -4,8 +4,6 @@ one line.
 Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted, 143 by SIGTERM.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

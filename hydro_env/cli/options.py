@@ -1,7 +1,5 @@
 """Options that several commands share, and the folder that every command writes to."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

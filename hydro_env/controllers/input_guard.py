@@ -5,8 +5,6 @@ value at all, the commands are zero, the controller is not called, so that it ke
 are there again. `hydro_env.export` writes the same rule in C and Structured Text.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from typing import Any

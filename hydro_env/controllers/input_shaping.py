@@ -1,8 +1,6 @@
 """Input shaping: a filter of three taps that does not excite the spool's lightly damped mode (Singer and Seering,
 Preshaping Command Inputs to Reduce System Vibration, J. Dyn. Syst. Meas. Control 112, 1990)."""
 
-from __future__ import annotations
-
 from math import cos, pi
 
 import numpy as np

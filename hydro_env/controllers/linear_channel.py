@@ -1,7 +1,5 @@
 """The base equations of a channel, linearised."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

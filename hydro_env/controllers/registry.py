@@ -1,7 +1,5 @@
 """Which controllers there are, and how a name, a file or a Python path becomes one."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Callable

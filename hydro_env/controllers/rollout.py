@@ -1,7 +1,5 @@
 """Runs one controller on a batch of rigs for one episode and keeps what happened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import inf

@@ -1,7 +1,5 @@
 """Controllers from Python code of the user's: `file.py:Class` and `package.module:Class`."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from types import ModuleType

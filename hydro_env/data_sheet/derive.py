@@ -8,8 +8,6 @@ the base plant's as far as the mass can then be simulated, and the travel so sho
 power.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

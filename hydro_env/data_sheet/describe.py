@@ -1,7 +1,5 @@
 """A model of a rig from its data sheets, with the given data sheet beside the simulated one and all that was assumed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ The assumed values are class values: what data sheets of such components have in
 a standard. Those of kinds of components stand in class_values.yaml, the others in this file, and nowhere else.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

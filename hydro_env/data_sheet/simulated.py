@@ -3,8 +3,6 @@
 Keys are those of the data sheets; what no sheet has is `no_load_speed_rpm` and `stall_pressure_bar` of the whole rig.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

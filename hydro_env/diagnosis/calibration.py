@@ -9,8 +9,6 @@ It is the calibration of a diagnosis, without the search for effects that the mo
 make up for them, which `Calibration.warnings` says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

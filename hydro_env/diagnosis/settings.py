@@ -1,7 +1,5 @@
 """What may be set for a diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -9,8 +9,6 @@ fit and proof. Axes whose mapping says `actuator: cylinder`, or any with `steady
 steady-valve model (`models.steady_valve`), everything else with the dynamic plant (`models.dynamic_rig`).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace

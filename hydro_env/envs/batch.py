@@ -3,8 +3,6 @@
 The single environment is a batch of one. Arrays have one row per rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path

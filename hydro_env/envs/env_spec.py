@@ -6,8 +6,6 @@ period, and would cut longer episodes off. So none is registered: the environmen
 of the environment that was made has the length of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum

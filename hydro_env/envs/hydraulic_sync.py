@@ -1,7 +1,5 @@
 """The environment: synchronise two hydraulic motors although their valves differ."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Functions of the user's that take the place of the reward or the observation, and what users give the environment."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 """What the simulation knows and no sensor shows, for the critic of an asymmetric actor-critic (L. Pinto et al.: Asymmetric actor
 critic for image-based robot learning, Robotics: Science and Systems, 2018)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run-length encoded set-point and load profiles of a batch."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Which episode every row plays, and what is drawn for it: the pair of valves, faults of its sensors, the streams of the rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import inf
 from typing import Any, NamedTuple

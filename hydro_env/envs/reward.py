@@ -1,7 +1,5 @@
 """The reward: what a step costs, in terms an engineer can read."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 

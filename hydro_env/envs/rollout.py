@@ -1,7 +1,5 @@
 """A control period of all rows of a batch: commands to the plant; sensors, reward and true signals from it."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial

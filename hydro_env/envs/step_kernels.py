@@ -4,8 +4,6 @@ The functions work row by row on any number of rigs, with the same arithmetic in
 batch is bit for bit the same as that row alone.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from math import isfinite
 

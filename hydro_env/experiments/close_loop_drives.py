@@ -5,8 +5,6 @@ same controller, sensors and scenarios meet `practice.reference`: SciPy's stiff 
 functional forms of the effects where there are some.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import log

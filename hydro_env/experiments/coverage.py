@@ -5,8 +5,6 @@ is hidden on that channel; one that is declared indistinguishable from the hidde
 probability. Names of a verdict `effects` are answers; those that an `unknown` lists are guesses, and are counted apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any

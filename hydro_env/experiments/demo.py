@@ -4,8 +4,6 @@ Every number on the page is computed in the same run, but for the paper's publis
 `reproduce`, `benchmark`, `hide` and `diagnose`, whose own results stand in folders beside the page.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -9,8 +9,6 @@ The paper's Simulink controllers are continuous; here they are sampled every `PE
 Speeds are the true ones: the paper's simulation has no sensors.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass

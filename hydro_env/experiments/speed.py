@@ -4,8 +4,6 @@ Speed without accuracy means nothing, so both are measured in one run: the error
 to the reference simulator (SciPy's stiff solver on the plain equations) under the same kinds of command.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

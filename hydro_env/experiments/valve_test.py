@@ -7,8 +7,6 @@ get the motors of the first model and the valves of their own. Both orders are d
 own for each channel, under several seeds of the sensor noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations_with_replacement, product
 from pathlib import Path

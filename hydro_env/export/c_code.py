@@ -1,7 +1,5 @@
 """A traced controller as C99: one header, one source, a state of fixed size, nothing allocated."""
 
-from __future__ import annotations
-
 from hydro_env import __version__
 from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import without_unread

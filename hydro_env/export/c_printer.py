@@ -4,8 +4,6 @@ The result is the same as in Python bit for bit as long as the C compiler fuses 
 `-ffp-contract=off`). It needs nothing but math.h.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Controllers as C, Structured Text or ONNX: from the name that a user gives to files in a folder."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from functools import partial
 from pathlib import Path

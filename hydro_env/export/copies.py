@@ -1,7 +1,5 @@
 """Private copies of modules, whose NumPy is another one: who uses the modules themselves meanwhile notices nothing."""
 
-from __future__ import annotations
-
 import builtins
 import importlib
 import io

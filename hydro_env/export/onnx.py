@@ -6,8 +6,6 @@ interface (what the inputs are and what becomes of the outputs) is code, not par
 metadata under `interface`. Needs onnx (extra `agents`).
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

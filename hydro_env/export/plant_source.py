@@ -5,8 +5,6 @@
 a web page.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hydro_env.ir.nodes import Expr, const, var

@@ -4,8 +4,6 @@ The text `templates/plc.st` is the same for all controllers but for the sensors 
 Structured Text, and as PLCopen XML, which engineering tools import (`plcopen`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The task has its interval as Codesys and TwinCAT write it (`PT0.01S`); Codesys reads it in its own `TaskSettings` first.
 """
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime
 from xml.etree import ElementTree as xml

@@ -4,8 +4,6 @@ An expression that is needed once is written where it is needed; one that is nee
 loops over arrays, whose operands are read in place where they lie side by side in another array, else gathered first.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any

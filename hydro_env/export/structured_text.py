@@ -4,8 +4,6 @@ Only what every system has is used: LREAL, REAL, INT, BOOL, arrays, IF, FOR, and
 MAX, LREAL_TO_REAL and the like. What the standard lacks (tanh) is made of EXP. The state lies in the block's VAR.
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterable, Iterator

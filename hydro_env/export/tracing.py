@@ -5,8 +5,6 @@ hold expressions, and compiled functions are recorded instead of run. The first 
 sets its state from it; then samples are traced until the same program comes out again.
 """
 
-from __future__ import annotations
-
 import copy
 import inspect
 import sys

@@ -1,7 +1,5 @@
 """What a slider of an effect stands for: whole positions, with the neutral value at 0, and the values of the catalogue there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from math import inf, isinf
 

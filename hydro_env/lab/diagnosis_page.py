@@ -1,7 +1,5 @@
 """The part of the page for logs: record one, drop some in, look at them, diagnose them, open the report."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from nicegui import run, ui

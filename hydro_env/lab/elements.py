@@ -1,7 +1,5 @@
 """Parts of the page that NiceGUI lacks: turning shafts, sliders that say their value in words, a field for large files, plots."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

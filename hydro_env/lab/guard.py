@@ -10,8 +10,6 @@ The server listens on the loopback address only. On top of that every request mu
 No other site can show the page in a frame, and the page loads nothing from elsewhere.
 """
 
-from __future__ import annotations
-
 import hmac
 from typing import Any
 

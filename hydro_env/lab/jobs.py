@@ -1,7 +1,5 @@
 """A diagnosis in a process of its own: started, watched, cancelled. One runs at a time."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import shutil

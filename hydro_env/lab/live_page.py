@@ -1,7 +1,5 @@
 """The page of a run of `hydro-env live`: it follows the newest log of a folder, and can change nothing."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page of the rig: what it shows, and what may be chosen. What that does stands in `session` and `worker`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace

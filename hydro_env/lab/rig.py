@@ -1,7 +1,5 @@
 """One rig in motion: its valves, effects, set-point and loads may change at every control period."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf
 from typing import Any

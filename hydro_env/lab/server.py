@@ -1,7 +1,5 @@
 """The web server of `hydro-env lab`: the page, uploads and results, on the loopback address only."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

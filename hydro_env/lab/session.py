@@ -4,8 +4,6 @@ A session runs period by period and has no clock, no thread and no page: `worker
 would come from a rig: columns, noise and resolution of the practice logs, at 1 kHz.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Files that a page was given: kept in a temporary folder under plain names, bounded, and gone when the lab ends."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """The session in a thread of its own, in step with the clock. Whoever asks for a change never waits for it."""
 
-from __future__ import annotations
-
 import queue
 import threading
 import time

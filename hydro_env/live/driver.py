@@ -1,7 +1,5 @@
 """What asks for commands: a controller that follows a set-point, or an experiment that is played."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 Both are written row by row, so that they are whole after a kill.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from itertools import count
 from pathlib import Path

@@ -8,8 +8,6 @@
 Zero is written at once, not along the rate limit.
 """
 
-from __future__ import annotations
-
 import math
 from enum import StrEnum
 from typing import Any

@@ -3,8 +3,6 @@
 Whatever ends a connection is an OSError, whatever is wrong with a name of the link file an InputError.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

@@ -1,7 +1,5 @@
 """What the text of a cell may be: a number, one with an SI suffix, a time, or nothing."""
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime
 

@@ -1,7 +1,5 @@
 """What the signals of a log say about each other: sign, motors exchanged, one column twice, units by size and by set-point."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf

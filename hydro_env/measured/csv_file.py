@@ -7,8 +7,6 @@ wanted is a plain number or empty, and refuses all others. What it takes the car
 the time only.
 """
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io

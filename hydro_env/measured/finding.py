@@ -1,7 +1,5 @@
 """One thing the data gate noticed about a log."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ deliberately blunt: each looks for one mistake that recordings really have (a se
 two plugs swapped) and stays silent on a clean log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a column is likely to hold: by its unit first, then by the words of its name, then by how its numbers behave."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

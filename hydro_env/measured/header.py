@@ -5,8 +5,6 @@ first line of that shape. The line above holds the names (or units, and the one 
 is passed over: titles, lines of key and value, the header of LabVIEW. Columns without names are called "1", "2", ...
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter

@@ -5,8 +5,6 @@ can know is marked "to be decided". What the data gate then finds surely wrong (
 in the proposal and said, and a column that spoils the reading is left out.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Rig logs from files and to files: by the rig log's own header or through a mapping, with what the data gate says."""
 
-from __future__ import annotations
-
 import gzip
 import io
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ reads beyond its memory, and the process ends. The format: MathWorks, MAT-File F
 sparse matrices and objects are passed over.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from math import prod

@@ -1,7 +1,5 @@
 """What the name of a column says: its words, what they mean, and its unit."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import pairwise

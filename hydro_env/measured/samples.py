@@ -4,8 +4,6 @@ Samples that are not measurements of the rig (a sensor that stuck, a converter a
 reads the log leaves them out of every comparison.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property

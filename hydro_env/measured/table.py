@@ -1,7 +1,5 @@
 """A recorded table: named columns of numbers with the lines of the file that hold them, and what a log file may be."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

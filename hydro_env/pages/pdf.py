@@ -1,7 +1,5 @@
 """An HTML page as PDF, printed by a browser of this machine: it runs the page's script, and needs no library."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

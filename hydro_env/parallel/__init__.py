@@ -14,8 +14,6 @@ ray     an existing cluster (`RAY_ADDRESS`, else the one `ray start` began here)
         names have to lie at the same path there
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Generator, Sequence
 from typing import Any

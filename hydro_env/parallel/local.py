@@ -4,8 +4,6 @@
 task, but loses it where the process dies right after it was handed out.)
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle

@@ -1,7 +1,5 @@
 """A Ray cluster: the way past one machine. Ray runs a task again whose worker or node dies, and cancels what is stopped."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Results of finished tasks in a folder, so that a run that was stopped resumes where it was."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 import platform

@@ -1,7 +1,5 @@
 """One task, wherever it runs: its result, or the `Failure` that says why there is none."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass

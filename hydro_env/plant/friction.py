@@ -1,7 +1,5 @@
 """The dry friction of a spool that is left when effects have added to it or taken from it."""
 
-from __future__ import annotations
-
 #: Dry friction of the spool, N, below which the bristles are as much softer: they yield at the same travel then. And how many
 #: times one of both may be the other below that.
 MIN_FRICTION, MAX_PEAK = 0.001, 20.0

@@ -23,8 +23,6 @@ names the file and the key. A rig of an unusual speed, spool frequency or start 
 values are from.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

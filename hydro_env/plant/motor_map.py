@@ -1,7 +1,5 @@
 """Steady flow, torque and efficiencies of a model's motor over pressure and speed: what a catalogue of motors shows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ proportional valves' differences to ensure uniform motion of hydraulic motors" (
 inside them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial

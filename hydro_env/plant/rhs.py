@@ -5,8 +5,6 @@ the laws of the chosen effects at the lines that begin with `# effects on`, and 
 kernel that the environments, the benchmark and the diagnosis run. Equation numbers are the paper's.
 """
 
-from __future__ import annotations
-
 from .vector_math import bell, sqrt
 
 

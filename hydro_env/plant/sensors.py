@@ -3,8 +3,6 @@
 They stand here once: environments, controllers, practice logs and the diagnosis take them from here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 #: Standard deviation by signal: of the rig's three sensors, and of two that only a test bench has.

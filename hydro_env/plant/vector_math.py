@@ -5,8 +5,6 @@ would force it back to one lane at a time, so these use only +, -, *, / and comp
 generated kernel and behave the same when called from Python. `sqrt` is an instruction of its own.
 """
 
-from __future__ import annotations
-
 from math import floor, sqrt
 
 __all__ = ["bell", "clip", "cos", "exp", "positive", "sign", "sin", "sqrt", "tanh"]

@@ -1,7 +1,5 @@
 """The command `hydro-env hide EFFECT[:CHANNEL] ... --out DIR`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

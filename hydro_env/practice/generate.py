@@ -16,8 +16,6 @@ plant with the laws of the catalogue for all effects, and truth.json says `"form
 its own equations, so such a log shows that an effect can be found, not that it would be found on a real rig.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ visible to the end of what is plausible; the draw is log-uniform within it and w
 shape, not size, is drawn as well. None of it is taken from what a diagnosis assumes or begins with.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Every metric is computed from true signals (no sensor noise), for all rigs of a 
 trace lie at n * period; row 0 is the rest state in which the episode starts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property

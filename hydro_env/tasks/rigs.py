@@ -10,8 +10,6 @@ observations are those of the rig itself, which are scaled by its size anyway; 6
 is to it what one of 5 ms is on the rig as drawn. The little that the coil's back-EMF damps the spool stays as it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import pi
 

@@ -7,8 +7,6 @@ removed only then. The files are pickles as those of Stable-Baselines3 are, and 
 are loaded only where no other user can have written them, and only if their checksums are right.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -10,8 +10,6 @@ training:                      # what RL-Zoo has no key for
   interface: {kind: frames, frames: 2, increment: 0.3, errors: true}
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import math

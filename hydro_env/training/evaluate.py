@@ -1,7 +1,5 @@
 """Scores of a policy during training, in rpm, and its return; never on pairs of a test split unless it is trained on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ A training run exports by itself; `python -m agents.export` in a checkout does i
 as ONNX, C or Structured Text.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Mapping

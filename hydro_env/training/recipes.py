@@ -1,7 +1,5 @@
 """The training files that ship: those of the shipped agents, and quick ones that only show that training works."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hydro_env.errors import check_known

@@ -6,8 +6,6 @@ run goes on exactly; `tensorboard/`; and `config.yml`, the file the run was star
 same machine a run gives the same policy, whether it was interrupted or not.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import os

@@ -5,8 +5,6 @@ plus the rated signal, that both were driven over, in percent of the largest flo
 either valve, which is what a synchronising drive meets.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

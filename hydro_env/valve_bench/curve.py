@@ -4,8 +4,6 @@ A sweep is a slow triangle of the signal. Where the signal turns, a branch ends;
 averaged. Signals keep the unit of the valve's input (A, V, m, or a fraction); flows are m3/s.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field
 from typing import Any

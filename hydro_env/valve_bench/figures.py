@@ -20,8 +20,6 @@ the largest flow of that direction.
     saturation     signal from which on the flow stays above 99 % of its largest value
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Rising and falling sweeps are compared at equal height of a flank, each branch s
 peak: the pressure and the oil's temperature drift between them, and a slow flow meter lowers the peak.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import isotonic_regression
 

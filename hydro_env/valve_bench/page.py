@@ -3,8 +3,6 @@
 What stands in which cell is said in valve_test.html.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any

@@ -3,8 +3,6 @@
 Needs the extra `report`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -9,8 +9,6 @@ one as much too low. The heights fall into blocks; the scatter of the blocks giv
 stands a bound that needs no fit at all: the hysteresis is no wider than the narrowest loop that was seen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

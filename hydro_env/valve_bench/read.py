@@ -4,8 +4,6 @@ CSV, tab or blank separated text (also gzipped, with or without a header, with s
 formats of `hydro_env.measured`. What is missing from the file is said by `Columns`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

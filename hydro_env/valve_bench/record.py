@@ -6,8 +6,6 @@ runs free, and the other valve stays closed. The pressure over the motor is then
 stands for the constant valve pressure drop of the standard.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_env.errors import InputError

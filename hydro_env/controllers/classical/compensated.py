@@ -1,7 +1,5 @@
 """Dead-zone inverse and flow feed-forward from a valve bench, with cross-coupled PI for the rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_env.controllers.base import OUTPUT_SHAPING, Floats, Gain, Measurements

@@ -3,8 +3,6 @@
 All build on PI laws on the speeds and need nothing but the speed signals.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

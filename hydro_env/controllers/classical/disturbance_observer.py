@@ -7,8 +7,6 @@ command (Ohnishi's scheme, here in state space). The estimate takes the place of
 with the command that was in force, limits included, it does not wind up.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_env.controllers.base import OUTPUT_SHAPING, Controller, Floats, Gain, Measurements

@@ -5,8 +5,6 @@ model that `hydro-env diagnose` wrote, and it drives the rig with what the diagn
 model shows: feedback has to make up for it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ filter (`FILTER_RATE`), and no further integration into a limit (conditional int
 parameter of its own), be it of the command or of its rate.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import Any, ClassVar
 

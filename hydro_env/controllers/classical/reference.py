@@ -1,7 +1,5 @@
 """References that lag behind the set-point, exact for a set-point that is held between samples."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,8 +1,6 @@
 """Steady flow curves of valves as the valve bench finds them, for controllers that had each pair there beforehand; units as in
 `estimation.nominal`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 

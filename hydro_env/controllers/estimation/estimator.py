@@ -1,7 +1,5 @@
 """What is known of a pair of channels while they are driven: spools, valves, motors, sensors, delay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Annotated, NamedTuple
 

@@ -6,8 +6,6 @@ easily than against each other. A load that jumps shows in a reading far off wha
 is held for unknown, of both motors together or against each other, and found again from this reading and the next ones.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Flows are shares of the nominal rated flow (Kq x at the spool travel of the rate
 shares of the rated command, so that a nominal valve without a dead zone has edge 0 and gain 1.
 """
 
-from __future__ import annotations
-
 from math import inf, sqrt
 from typing import Annotated, NamedTuple
 

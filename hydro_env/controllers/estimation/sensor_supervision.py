@@ -5,8 +5,6 @@ pressure's torque integrated over the motor's inertia (eq. 2), corrected by the 
 the valve's flow where it cannot be trusted at all (eq. 1). One row per rig, one column per channel.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

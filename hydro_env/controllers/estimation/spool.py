@@ -5,8 +5,6 @@ gain. Positions and commands are shares of the rated command, flows of the rated
 (Strang): half a step of position, a step of speed, half a step of position.
 """
 
-from __future__ import annotations
-
 from math import exp
 from typing import Annotated, NamedTuple
 

@@ -8,8 +8,6 @@ An edge at which no flow was seen yet lies beyond every position the spool has v
 pins it down, and an extended Kalman filter refines it. Both directions share the gain, as one spool has one set of notches.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import Annotated, NamedTuple
 

@@ -4,8 +4,6 @@ Such a file holds pickled objects, and unpickling runs whatever code is in them.
 origin is trusted. Needs the extra `agents`.
 """
 
-from __future__ import annotations
-
 import json
 import warnings
 import zipfile

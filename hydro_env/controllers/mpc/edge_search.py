@@ -12,8 +12,6 @@ Crossing a dead zone whose far edge is unknown: both spools creep up to their ed
 other, while the reference coasts as a motor without flow does.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

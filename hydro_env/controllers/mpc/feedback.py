@@ -5,8 +5,6 @@ time at which a new command acts (a Smith predictor: with the flows asked for me
 recognised, so that it can be answered without delay.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

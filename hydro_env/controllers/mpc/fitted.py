@@ -7,8 +7,6 @@ its own. Others swing against the oil in their lines, which feedback of the pres
 fast enough for it (Merritt 1967, ch. 8).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, inf, pi, sqrt
 

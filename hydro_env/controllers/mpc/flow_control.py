@@ -9,8 +9,6 @@ Settings were found by an evolution strategy and by hand on pairs of `train` (do
 place on the Pareto front of speed difference and tracking error are left to the user as gains.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import ClassVar
 

@@ -15,8 +15,6 @@ It knows nothing of the drawn valves. Its parts, in the order of a control perio
 Where a speed sensor is poor, while a rig probes or crosses, and at control periods other than 10 ms, averaged commands are sent.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ command is sent. The state needs no measurement: a twin of the plant, given the 
 state bit for bit, as the noise is in the sensors alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm

@@ -1,7 +1,5 @@
 """The reference: one speed for both motors, which runs to the set-point as fast as the weaker valve allows."""
 
-from __future__ import annotations
-
 from math import inf
 from typing import Annotated, NamedTuple
 

@@ -1,7 +1,5 @@
 """Gains files: the numbers of a controller with units and how they were found (`hydro_env/gains/1`, JSON)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

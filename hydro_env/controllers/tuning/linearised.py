@@ -10,8 +10,6 @@ it would only raise the spool's mode. One number is left to choose, Ms. 1.2 to 2
 paper does not say what was chosen, and `MS` is the round number that comes nearest to its Table III.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -14,8 +14,6 @@ best of the last one are compared on other pairs, since gains that suit the few 
 Only the split `train` may be used, or the plant's own pair.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

@@ -6,8 +6,6 @@ rig is: with little leakage or a short line the loop takes a tenth of the gain. 
 times in s are carried over a second time with the ratio of the gain and integral time that `tune_channel` finds on both plants.
 """
 
-from __future__ import annotations
-
 import shlex
 from math import isfinite, log
 from pathlib import Path

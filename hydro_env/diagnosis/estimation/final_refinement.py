@@ -7,8 +7,6 @@ covariance on the scale on which it is used. This is Gauss-Newton in whitened co
 transforms (Julier and Uhlmann 2004, doi:10.1109/JPROC.2003.823141).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np

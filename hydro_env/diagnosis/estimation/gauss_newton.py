@@ -4,8 +4,6 @@ Every finite-difference column and every trial step of every estimate is one req
 simulations serves all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ parameters, and these carry the simulation past it. So an estimate that is far f
 logs (`grow_horizon`), and competing candidates from every size to their first half second (`best_on_early_window`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace

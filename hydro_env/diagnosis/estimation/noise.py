@@ -1,7 +1,5 @@
 """How noisy a signal is, and how many independent samples a residual is worth."""
 
-from __future__ import annotations
-
 import numpy as np
 
 #: Length of the windows, s, about as long as the memory of a shaft with a leaky motor.

@@ -12,8 +12,6 @@ n of them there are C(2n - 1, n) different replicas (Efron and Tibshirani, An In
 `none` whatever the rig lacks.
 """
 
-from __future__ import annotations
-
 from math import comb
 
 import numpy as np

@@ -5,8 +5,6 @@ its bounds. Estimation works in the coordinate q: 0 at the centre, 1 one scale a
 varies by factors).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

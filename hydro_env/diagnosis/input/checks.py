@@ -1,7 +1,5 @@
 """Logs that go together: the same channels and signals in all, every channel driven, and nothing fitted that is held out."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ first second does not count. How much a stretch says is judged by its commands: 
 directions, on both channels, and how much the load changes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...measured import RigLog

@@ -3,8 +3,6 @@
 diagnosis.json stays in the catalogue's names and in SI; everything that a person reads goes through here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Adjusting the known parameters inside their plausible ranges: what the model can explain without any further effect."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

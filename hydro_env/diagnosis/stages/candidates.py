@@ -1,7 +1,5 @@
 """Candidates: what an effect must gain to be accepted, how a refitted one is judged, and what selection remembers of each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

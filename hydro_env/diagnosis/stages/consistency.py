@@ -6,8 +6,6 @@ wrong. Where pressure and speed are logged the shaft says more: it ties them tog
 `hydro_env.measured` has looked before at what needs no model.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace

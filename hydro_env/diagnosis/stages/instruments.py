@@ -1,7 +1,5 @@
 """What a model shows of the instruments: an encoder that sits off the centre of its shaft, and two clocks that run apart."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

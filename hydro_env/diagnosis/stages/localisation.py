@@ -9,8 +9,6 @@ A component whose own replay errs by more than its noise owns part of the residu
 speed alone the whole residual is the valve's and motor's together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Naming: the effects that were found, with probability, competing candidates, values and intervals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

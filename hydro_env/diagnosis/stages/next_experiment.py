@@ -7,8 +7,6 @@ signal to record. The reduced model of a cylinder axis gets words only: commands
 stroke.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -7,8 +7,6 @@ whether a backlash explains something. Where one does, all candidates of the cha
 simulations; the errors that are reported stay those of free ones.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -7,8 +7,6 @@ steps of the differences between these simulations. From row to row nothing else
 of which the measurement is not known to its noise because of the times do not count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

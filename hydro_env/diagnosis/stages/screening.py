@@ -6,8 +6,6 @@ residual each could explain (`screen`). Finite sizes are used because a dead
 zone, play or stiction has no useful derivative at zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

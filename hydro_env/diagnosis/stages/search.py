@@ -1,7 +1,5 @@
 """A search for effects: the estimates so far, what was accepted, and what became of every candidate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

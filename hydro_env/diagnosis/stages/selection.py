@@ -6,8 +6,6 @@ by more than the penalty (`candidates.penalty`). The deviance counts independent
 compared with one that has an effect of the whole rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The shaft alone in the logs: how measured pressure and load would turn it, a filter, and how it turned."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 """Uncertainty: estimates at their minimum, with intervals by a block bootstrap on their derivatives (`estimation.uncertainty`),
 and whether the logs determine the known parameters at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

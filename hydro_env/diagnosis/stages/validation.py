@@ -1,7 +1,5 @@
 """Validation: how far the models are from manoeuvres that took no part in the fit."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

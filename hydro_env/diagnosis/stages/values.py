@@ -1,7 +1,5 @@
 """Values: what is estimated of effects and known parameters, in SI and with intervals, and the model that has them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The verdict: `none`, `calibration`, `effects` or `unknown`, and whether the held-out logs confirm it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a reader should know besides: doubts, findings of the logs, weak logs, estimates at their bounds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

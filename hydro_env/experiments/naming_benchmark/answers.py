@@ -8,8 +8,6 @@
 speed_2_rpm, a row for each of commands.csv) or `model` (a model file) is optional; either gives the held-out error.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 

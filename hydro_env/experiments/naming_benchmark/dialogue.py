@@ -9,8 +9,6 @@ A method's folder holds for each rig, in a folder `NAME` beside its answer, what
 Only `play` reads the truth, so whoever keeps that of a sealed set may play for others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated

@@ -5,8 +5,6 @@ calibrate  known parameters adjusted, no effect named
 ask        the diagnosis, and the questions that it asks (`dialogue`)
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

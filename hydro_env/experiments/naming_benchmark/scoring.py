@@ -8,8 +8,6 @@ right, by their probability. A true value outside its interval under a verdict `
 there, and a model that lacks something has no true parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

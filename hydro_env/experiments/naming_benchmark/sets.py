@@ -18,8 +18,6 @@ parameters, the noise and the recorded signals are drawn for each rig from the s
 effects out of its candidates, so that a list of candidates says nothing about what is hidden.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path

@@ -3,8 +3,6 @@
 The files are made of the model alone: the same model gives the same bytes, but for the binaries, which are the compilers'.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import platform

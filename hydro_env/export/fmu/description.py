@@ -4,8 +4,6 @@ Names: inputs `command_1` (V) and `load_1` (N m), outputs `speed_1`, `pressure_1
 `channel_1.dead_zone.overlap_positive`, and `rig.supply_droop.relative_drop` where both channels share one. All SI.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

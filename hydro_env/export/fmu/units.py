@@ -1,7 +1,5 @@
 """Units of the catalogue ("m3/(s Pa)") as exponents of the SI base units, and the units in which people read them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """What is the same in all exported sources, with places for the rest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from string import Template
 

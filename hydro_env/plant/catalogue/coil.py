@@ -1,7 +1,5 @@
 """Effects of the coil."""
 
-from __future__ import annotations
-
 from ..parameters import Parameter, assumed
 from .effect import Effect, State
 

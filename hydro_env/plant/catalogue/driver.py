@@ -1,7 +1,5 @@
 """Effects of the driver, between the command and the coil."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import inf
 

@@ -1,7 +1,5 @@
 """Effects on the flow through the opened valve."""
 
-from __future__ import annotations
-
 from math import inf
 
 from ..parameters import assumed

@@ -1,7 +1,5 @@
 """Effects of the fluid that act on the whole rig."""
 
-from __future__ import annotations
-
 from ..parameters import Parameter, assumed
 from ..vector_math import exp
 from .effect import Effect

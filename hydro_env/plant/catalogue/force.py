@@ -1,7 +1,5 @@
 """Effects on the force that moves the spool."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import inf
 

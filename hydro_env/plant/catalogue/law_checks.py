@@ -4,8 +4,6 @@ Without them an unknown name surfaces in the compiler, far from the user's file,
 wherever the effect is compiled in without acting.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterator
 from functools import cache

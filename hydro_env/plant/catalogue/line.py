@@ -1,7 +1,5 @@
 """Effects of the line between valve and motor: fluid, hoses, relief and check valves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from math import inf

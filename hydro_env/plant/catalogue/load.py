@@ -1,7 +1,5 @@
 """Effects of what the motor drives."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import pi
 

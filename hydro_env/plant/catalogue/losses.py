@@ -13,8 +13,6 @@ Where a publication lets a coefficient depend on the operating point and its for
 ours stands for it; it is zero unless given.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from ..parameters import MOTOR_SIZE, Parameter, assumed

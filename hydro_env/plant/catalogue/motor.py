@@ -1,7 +1,5 @@
 """Effects of the motor; its published loss models are in `losses`."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from ..parameters import MOTOR_SIZE, Parameter, assumed

@@ -1,7 +1,5 @@
 """Effects on the opening of the valve: what the edges make of the spool's position."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import inf
 

@@ -1,7 +1,5 @@
 """Effects of the speed sensor: they change what is measured and nothing else."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from ..parameters import assumed

@@ -1,7 +1,5 @@
 """Effects of the supply, which both valves share."""
 
-from __future__ import annotations
-
 from ..parameters import assumed
 from .effect import Effect, State
 

@@ -1,7 +1,5 @@
 """Files of users' own effects: Python files that call `register`, loaded because the user named them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from pathlib import Path

@@ -5,7 +5,6 @@ layout      where states, parameters and stages lie in the memory of a block
 laws        sources of laws and of the functions that they call: checks, and text
 statements  from the right-hand side and the laws of the effects to statements
 codegen     writes the text of a module: sweeps over lanes
-module_cache  keeps it for the next process
 vector_ir   writes it, read by `hydro_env.ir`, as vector instructions
 machine_code  compiles them and keeps what was compiled
 driver      the loops over rows and steps around the sweeps, one for all kernels
@@ -22,8 +21,6 @@ Source text: `rates` (rhs.py), the laws of the effects and the functions of vect
 module, compiled once for a set of effects and a width of blocks. The loops around the sweeps are compiled once for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -34,10 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..catalogue import CATALOGUE, Effect
+from .codegen import module_text
 from .driver import SWEEPS, advance
 from .layout import STATES
 from .machine_code import MachineCode, machine_code
-from .module_cache import module_of
 
 __all__ = ["STATES", "Kernel", "compile_kernel"]
 
@@ -82,7 +79,7 @@ _COMPILING = Lock()
 @lru_cache(maxsize=64)
 def _compiled(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
     with _COMPILING:
-        module = module_of(effects, half, grouped)
+        module = module_text(effects, half, grouped)
         code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(

@@ -9,8 +9,6 @@ What makes it fast: two of the three stages share their rates; the rates at the 
 structure of the matrix W solves in some thirty operations.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import textwrap

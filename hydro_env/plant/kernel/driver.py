@@ -4,8 +4,6 @@ Compiled once and shared by all kernels. What a kernel is comes as numbers: rows
 sweeps (see `codegen`).
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

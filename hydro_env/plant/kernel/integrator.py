@@ -22,8 +22,6 @@ Step. It is taken if E <= 1, else tried again; the next one is 0.9 E^(-1/6) time
 times (section IV.2), rounded down to one of a ladder of factors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

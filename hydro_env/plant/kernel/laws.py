@@ -1,7 +1,5 @@
 """Laws of effects as text of a generated module: their source is read, checked, and pasted with the functions that they call."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

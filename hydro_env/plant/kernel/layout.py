@@ -4,8 +4,6 @@ A block is `half` rigs side by side; lanes 0..half-1 are their first channels, l
 holds one name of all lanes; all rows of a block lie one after the other in a flat array.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from ..catalogue.effect import Effect, State

@@ -1,7 +1,5 @@
 """From the text of a kernel's sweeps to functions in memory: LLVM's object code, kept on disk for the next process."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 from collections.abc import Iterable

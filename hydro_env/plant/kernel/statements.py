@@ -4,8 +4,6 @@ What depends on the parameters alone is taken out of them (`Step.settling`), div
 looked at as a syntax tree (`target`, `reads`).
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass

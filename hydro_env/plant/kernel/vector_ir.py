@@ -17,8 +17,6 @@ right for each. Functions that are called are written in their place; of their `
 the function, for anything else.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from llvmlite import ir

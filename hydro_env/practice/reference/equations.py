@@ -6,8 +6,6 @@ the effects on single lines, and `at_...`, the places of its states in `y` (-1: 
 the paper.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

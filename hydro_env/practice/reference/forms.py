@@ -6,8 +6,6 @@ its reason explains; none is shared with what is fitted to its logs. `MIDDLE` ha
 want one fixed rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The rig of two channels: layout of the states, their integration by SciPy's stiff solvers, and the signals that come out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path

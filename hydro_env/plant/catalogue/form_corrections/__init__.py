@@ -10,8 +10,6 @@ diagnosis and none ever explains anything by itself.
 They belong to the family `shape` and are no part of `BUILT_IN`: the reference simulator does not know them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from . import motor, valve

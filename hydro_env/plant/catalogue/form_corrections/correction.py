@@ -1,7 +1,5 @@
 """What corrections of form have in common: they are fitted numbers, and no physics."""
 
-from __future__ import annotations
-
 from functools import partial
 from math import nan
 from typing import Any

@@ -1,7 +1,5 @@
 """Corrections of the forms of supply, line, motor, load, fluid and sensor."""
 
-from __future__ import annotations
-
 from math import inf
 
 from ...parameters import MOTOR_SIZE

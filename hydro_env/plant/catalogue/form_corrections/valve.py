@@ -1,7 +1,5 @@
 """Corrections of the forms of driver, opening, flow and spool."""
 
-from __future__ import annotations
-
 from math import inf
 
 from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL
