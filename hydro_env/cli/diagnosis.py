@@ -15,8 +15,7 @@ from hydro_env.units import BAR
 #: Options that a case does not keep: they are of one call, or kept in another way.
 _OF_ONE_CALL = ("out", "case", "fit_logs", "sealed", "inspect", "effect_files", "jobs")
 FitLogs = Annotated[
-    list[str] | None,
-    Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
+    list[str] | None, Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s.")
 ]
 HeldOut = Annotated[
     list[str] | None,
