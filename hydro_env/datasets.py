@@ -9,8 +9,6 @@ that no sensor showed, each with T + 1 rows. Its metadata are its seed, the numb
 drawn values of its valves (`mismatch`).
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator, Sequence
@@ -157,7 +155,7 @@ def write(folder: Path, task: Task) -> Iterator[int]:
     storage.update_metadata({"hydro_env": {**made, "cases": cases}})
 
 
-def _make_sure_of_room(folder: Path, buffers: Sequence[EpisodeBuffer]) -> None:
+def _make_sure_of_room(folder: Path, buffers: "Sequence[EpisodeBuffer]") -> None:
     """OSError if the disk has no room for these episodes.
 
     HDF5 meets a full disk with a crash of the process. So as much as it may take is written beforehand and removed.
@@ -174,7 +172,7 @@ def _make_sure_of_room(folder: Path, buffers: Sequence[EpisodeBuffer]) -> None:
         path.unlink(missing_ok=True)
 
 
-def _spec(arguments: dict[str, Any]) -> EnvSpec:
+def _spec(arguments: dict[str, Any]) -> "EnvSpec":
     """What Minari makes the environment from again."""
     spec = gymnasium.make("hydro_env:HydraulicSync-v0", **arguments).spec
     assert spec is not None
@@ -197,7 +195,7 @@ class _RandomActions:
 
 def _episodes(
     task: Task, seeds: Sequence[int], where: dict[str, Any]
-) -> tuple[list[EpisodeBuffer], list[dict[str, Any]]]:
+) -> "tuple[list[EpisodeBuffer], list[dict[str, Any]]]":
     """The episodes of these seeds, and what each drew."""
     from minari.data_collector import EpisodeBuffer
 

@@ -1,7 +1,5 @@
 """The one error that users' input can cause, what it says of a name that nobody knows, and how signals stop a command."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading
@@ -156,7 +154,7 @@ def stopped_by_signals() -> Iterator[list[int]]:
         else:
             signal.raise_signal(number)
 
-    def tell(lost: sys.UnraisableHookArgs) -> None:
+    def tell(lost: "sys.UnraisableHookArgs") -> None:
         if not isinstance(lost.exc_value, _Stop):
             unraisable(lost)
 

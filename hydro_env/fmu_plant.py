@@ -17,8 +17,6 @@ What is not mapped reads zero, but the angle is integrated from the speed, and t
 environment's. An FMU has valves of its own, so there is nothing to draw: the split is `own`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Collection, Mapping
@@ -90,7 +88,7 @@ class FmuModel(PlantModel):
             "rig": self.rig.to_dict(),
         }
 
-    def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64) -> FmuRigs:
+    def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64) -> "FmuRigs":
         """Rigs of this kind. InputError if the FMU cannot be loaded, and for another dtype than float64."""
         if np.dtype(dtype) != self.dtype:
             raise InputError(f"{self.name}: an FMU computes in float64; {np.dtype(dtype)} is not possible")

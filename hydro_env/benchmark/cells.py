@@ -5,8 +5,6 @@ same cases, so that scores may be compared case by case. A controller that raise
 lets the plant diverge is named and counted as failed where it did so; the rest go on.
 """
 
-from __future__ import annotations
-
 import copy
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -84,7 +82,7 @@ class Cell:
         """Whose it is and where, as tables have it."""
         return {"controller": self.name, "split": self.split, "scenario": self.scenario}
 
-    def with_summaries(self) -> Cell:
+    def with_summaries(self) -> "Cell":
         """The cell with what the values of each metric come to; resamples keep the share of each fault."""
         summaries = {
             name: summarise(values, strata=self.faults, more=METRICS[name].more)

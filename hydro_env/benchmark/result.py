@@ -5,8 +5,6 @@ the splits and scenarios again. Another kind of processor may differ in the last
 sticks makes more.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re
@@ -103,7 +101,7 @@ class Result(FileTable):
     sha256: str
 
     @model_validator(mode="after")
-    def _complete(self) -> Result:
+    def _complete(self) -> "Result":
         suite = self.suite
         places = [(split, scenario) for split in suite.splits for scenario in suite.scenarios]
         if [(each.split, each.scenario) for each in self.cases] != places:

@@ -1,7 +1,5 @@
 """The suite: which splits, scenarios, cases and metrics a benchmark runs, read from YAML."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
@@ -36,7 +34,7 @@ class Suite(FileTable):
     metrics: Annotated[tuple[Metric, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _each_once(self) -> Suite:
+    def _each_once(self) -> "Suite":
         for what, names in (("scenario", self.scenarios), ("metric", self.metrics)):
             for name in names:
                 if names.count(name) > 1:
@@ -54,7 +52,7 @@ class Suite(FileTable):
 
     def narrowed(
         self, splits: Iterable[str] | None, scenarios: Iterable[str] | None, cases: int | None
-    ) -> Suite:
+    ) -> "Suite":
         """The suite with other splits or scenarios (a split the suite lacks gets its largest number of
         cases).
         """

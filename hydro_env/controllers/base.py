@@ -7,8 +7,6 @@ unit, a meaning and a reason for its value; a truth value has the unit "", and n
         rate: Annotated[float, "1/s", "how fast the reference runs to the set-point", TUNED] = 42.0
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, log
@@ -140,19 +138,19 @@ class Controller:
         self.carried = frozenset(self._given)
         return self
 
-    def with_gains(self, /, **changed: Any) -> Controller:
+    def with_gains(self, /, **changed: Any) -> "Controller":
         """The same controller with single gains changed, at whatever control period."""
         again = type(self)(self.name, **{**self._given, **changed})
         again.plant, again.carried = self.plant, self.carried - changed.keys()
         again.for_periods({period: {**each, **changed} for period, each in self._sets.items()})
         return again
 
-    def drives(self, model: PlantModel) -> None:
+    def drives(self, model: "PlantModel") -> None:
         """Called before `reset` with the model of the rig as its owner has it: before valves are drawn."""
         self.rig = scales_of(model)
         self.scales = self.units_for(model) if self.similar else PAPER
 
-    def units_for(self, model: PlantModel) -> Scales:
+    def units_for(self, model: "PlantModel") -> Scales:
         """How large a rig is beside the paper's in the units of a law that is `similar`."""
         return scales_of(model)
 
@@ -166,7 +164,7 @@ class Controller:
         size = {gain.name: gain.size(self.scales) for gain in self.GAINS} | dict.fromkeys(self.carried, 1.0)
         return {name: value / size[name] for name, value in gains.items()}
 
-    def prepare(self, plant: Plant) -> None:
+    def prepare(self, plant: "Plant") -> None:
         """Called with the rigs (rows of `plant`) before the episode, where `needs` asks for it."""
 
     def foresee(self, load: Floats) -> None:

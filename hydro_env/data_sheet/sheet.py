@@ -11,8 +11,6 @@ class value with a range. `hydro-env describe --template` prints all keys. `valv
 channel 2 where they differ; each is a whole table of its own. `source` says which data sheet a table is from.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -69,7 +67,7 @@ class Valve(_Table):
     )
 
     @model_validator(mode="after")
-    def _whole(self) -> Valve:
+    def _whole(self) -> "Valve":
         volts, milliamperes, ohm = self.rated_command_V, self.rated_command_mA, self.coil_resistance_Ohm
         if volts is None and milliamperes is None:
             raise ValueError("rated_command_V or rated_command_mA is missing")
@@ -107,7 +105,7 @@ class Supply(_Table):
     relief_bar: Positive | None = _key("relief valve of the supply, bar")
 
     @model_validator(mode="after")
-    def _relief_above(self) -> Supply:
+    def _relief_above(self) -> "Supply":
         if self.relief_bar is not None and self.relief_bar < self.pressure_bar:
             raise ValueError(
                 f"relief_bar is {self.relief_bar:g}, below the supply pressure of {self.pressure_bar:g}"

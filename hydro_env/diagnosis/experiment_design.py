@@ -20,8 +20,6 @@ An experiment is an array (T, 2, 2) with a row every `PERIOD`: for each channel 
 load in N m.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -75,7 +73,7 @@ class Operation:
     apart: Array
 
     @classmethod
-    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> Operation:
+    def of(cls, held_out: Fit, estimate: Estimate, channel: int) -> "Operation":
         """What an estimate with intervals is to predict of a channel on the held-out logs."""
         differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
         joined = np.concatenate(differences, axis=1)

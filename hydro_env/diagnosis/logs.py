@@ -1,7 +1,5 @@
 """What all stages work on: a model of the rig with its logs, read and checked at the beginning of a diagnosis or calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,7 +38,7 @@ class Logs:
         """Length of the longest log to fit, s."""
         return max(len(p.log) * p.log.period for p in self.rig.parts)
 
-    def following(self, channels: Collection[int]) -> Logs:
+    def following(self, channels: Collection[int]) -> "Logs":
         """The same with the simulated speed of these channels drawn to the measured one."""
         fine, held_out = (rig.following(channels) for rig in (self.fine, self.held_out))
         return Logs(self.fit.on(self.rig.following(channels)), fine, held_out)

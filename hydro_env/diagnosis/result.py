@@ -1,7 +1,5 @@
 """The result of a diagnosis: verdict, effects, improved model, and diagnosis.json."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -43,7 +41,7 @@ class Diagnosis(Confirmed):
     locations: list[Location]
     effects: list[NamedEffect]
     undetermined: list[str]
-    next_experiment: NextExperiment | None = None
+    next_experiment: "NextExperiment | None" = None
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
 

@@ -5,8 +5,6 @@ is divided by its fixed physical scale inside the environment and clipped to +-`
 to be normalised, and no statistics saved, outside. On the paper's rig the scales are `SCALES`, on another `scales_on` it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +61,7 @@ class Measurements:
     pressure: Floats
     command: Floats
 
-    def over(self, rig: Scales) -> Measurements:
+    def over(self, rig: Scales) -> "Measurements":
         """The measurements of the same motion on a rig that is smaller by these scales."""
         if rig == PAPER:
             return self

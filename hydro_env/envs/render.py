@@ -3,8 +3,6 @@
 Needs the extra `render`.
 """
 
-from __future__ import annotations
-
 import math
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -142,7 +140,7 @@ class _Page:
 
     LEFT, RIGHT = 4.0, 31.0
 
-    def __init__(self, draw: ImageDraw, unit: float) -> None:
+    def __init__(self, draw: "ImageDraw", unit: float) -> None:
         from PIL import ImageFont
 
         self.draw, self.unit = draw, unit

@@ -13,8 +13,6 @@ The summary has means over hidden rigs. Their intervals are 95 % percentile boot
 them its seeds.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -78,7 +76,7 @@ class RigTask:
         """Seed of the practice logs: no two rigs share one."""
         return 100 * list(CASES).index(self.case) + self.seed
 
-    def run(self) -> Rig:
+    def run(self) -> "Rig":
         """Hides, logs and diagnoses."""
         practice = make_practice(
             CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=DURATION

@@ -9,8 +9,6 @@ Rows of a batch do not act on each other. So a question to the whole batch (`if 
 answered with yes, and `flatnonzero` of a mask gives an index that acts where the mask is true.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -94,10 +92,10 @@ class Kernel(_Shared):
 
     function: Any
     arguments: tuple[Any, ...]
-    arrays: list[Symbols]
+    arrays: "list[Symbols]"
     before: list[list[Expr]]
     numbers: list[Expr]
-    after: dict[int, Items] = field(default_factory=dict)
+    after: "dict[int, Items]" = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -341,7 +339,7 @@ class Symbols(np.ndarray):
 
         now[parts] = np.frompyfunc(put, 2, 1)(_objects(value), now[parts])
 
-    def astype(self, dtype: Any, *args: Any, **more: Any) -> Symbols:  # type: ignore[override]
+    def astype(self, dtype: Any, *args: Any, **more: Any) -> "Symbols":  # type: ignore[override]
         return _wrapped(_cast(_objects(self), kind_of(dtype)))
 
     def mean(self, *args: Any, **more: Any) -> Any:

@@ -1,7 +1,5 @@
 """Typed expressions, statements and functions: what is left of Python source once names, types and shapes are known."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -102,8 +100,8 @@ class Store:
 @dataclass
 class If:
     test: Expr
-    body: list[Statement]
-    orelse: list[Statement] = field(default_factory=list)
+    body: "list[Statement]"
+    orelse: "list[Statement]" = field(default_factory=list)
 
 
 @dataclass
@@ -114,7 +112,7 @@ class For:
     start: Expr
     stop: Expr
     step: int
-    body: list[Statement]
+    body: "list[Statement]"
 
 
 @dataclass

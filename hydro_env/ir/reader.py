@@ -6,8 +6,6 @@ it, so every shape is known and nothing is allocated. Whole numbers, truths, and
 constants; arithmetic with real numbers is left to the program, which rounds it in its own precision.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import math
@@ -77,7 +75,7 @@ class Arr:
     """A table, which need not be passed on."""
 
     @classmethod
-    def of(cls, kind: str, name: str, shape: Sequence[int | Expr], fixed: bool = False) -> Arr:
+    def of(cls, kind: str, name: str, shape: Sequence[int | Expr], fixed: bool = False) -> "Arr":
         """A contiguous array."""
         sizes = [const(size, "int") if isinstance(size, int) else size for size in shape]
         strides: list[Expr] = []
@@ -96,7 +94,7 @@ class Arr:
 class Rec:
     """A named tuple."""
 
-    fields: Mapping[str, Value]
+    fields: "Mapping[str, Value]"
 
 
 #: A tuple holds several values, as a function returns them.

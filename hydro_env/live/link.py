@@ -29,8 +29,6 @@ is if it repeats itself to the last digit for `frozen_s` (of a speed 0.5 unless 
 are those of a rig log. A number that is absent or not finite, or an OPC UA status that is not good, is a fault as well.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -76,7 +74,7 @@ class Input(FileTable):
     frozen_s: Annotated[Number, Field(gt=0.0)] | None = None
 
     @model_validator(mode="after")
-    def _rising(self) -> Input:
+    def _rising(self) -> "Input":
         if self.range is not None and not self.range[0] < self.range[1]:
             raise ValueError(f"range is {list(self.range)}, should be [lowest, highest]")
         if self.scale == 0.0:
@@ -120,7 +118,7 @@ class Channel(ChannelTable[Command, Input]):
     """One valve and its motor."""
 
     @model_validator(mode="after")
-    def _units_fit(self) -> Channel:
+    def _units_fit(self) -> "Channel":
         _check_units(self, _READ)
         if self.speed.range is None:
             raise ValueError("speed.range is missing: the lowest and highest speed that the sensor can show")
@@ -158,7 +156,7 @@ class Link(FileTable):
     channel_2: Channel
 
     @model_validator(mode="after")
-    def _whole(self) -> Link:
+    def _whole(self) -> "Link":
         if self.watchdog_s < 3.0 * self.cycle_s:
             raise ValueError(f"watchdog_s is {self.watchdog_s:g}, should be at least three times cycle_s")
         if self.protocol == "udp":

@@ -3,8 +3,6 @@
 The driver works in a thread of its own, so that one that hangs cannot keep zero from being written.
 """
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import threading
@@ -127,7 +125,7 @@ class Run:
         cycles = np.inf if self.driver.cycles is None else self.driver.cycles
         return clock - self._began >= self.duration or self._cycle >= cycles
 
-    async def _take(self, worker: _Worker, sample: Sample) -> None:
+    async def _take(self, worker: "_Worker", sample: Sample) -> None:
         """Asks the driver, for as long as the watchdog allows."""
         supervisor, most = self.supervisor, self.link.watchdog_s
         try:

@@ -10,8 +10,6 @@ No file runs code. What a library would evaluate or fetch on behalf of a file is
 databases and attachments of MDF files, data of HDF5 files that lie in other files.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import warnings
@@ -56,7 +54,7 @@ def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> T
             raise InputError("does not fit into memory; export a shorter part, or fewer columns") from None
 
 
-def _read_binary(path: Path, choose: Choose, reader: Reader, what: str) -> Table:
+def _read_binary(path: Path, choose: Choose, reader: "Reader", what: str) -> Table:
     """Reads the columns that `choose(names)` asks for; `InputError` says what would be right."""
     if not path.stat().st_size:
         raise InputError("the file is empty; a log needs columns and rows")

@@ -1,7 +1,5 @@
 """The rig log: what was commanded and measured on a rig, in SI."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -123,18 +121,18 @@ class RigLog:
         steps = np.diff(self.time_s)
         return bool(np.all(np.abs(steps - np.median(steps)) <= 0.01 * np.median(steps) + 1e-9))
 
-    def window(self, start: float, end: float) -> RigLog:
+    def window(self, start: float, end: float) -> "RigLog":
         """A copy of the rows with start <= time_s < end (s); ValueError where fewer than two are left."""
         keep = np.flatnonzero((self.time_s >= start) & (self.time_s < end))
         if len(keep) < 2:
             raise ValueError(f"fewer than two rows between {start:g} s and {end:g} s")
         return self._with_rows(lambda values, _: values[keep[0] : keep[-1] + 1].copy())
 
-    def first(self, rows: int) -> RigLog:
+    def first(self, rows: int) -> "RigLog":
         """The first `rows` rows."""
         return self._with_rows(lambda values, _: values[:rows])
 
-    def resample(self, lead: float | np.ndarray = 0.0, even: bool = False) -> RigLog:
+    def resample(self, lead: float | np.ndarray = 0.0, even: bool = False) -> "RigLog":
         """The log on an even grid of its own period. Commands, loads and set-points are the mean of what is held within each
         step, so that they act from their own times on. Measurements stay as they are: those of the row nearest to a grid point,
         NaN if none is within half a step, and `late` says how much later than `time_s` they were taken.
@@ -186,7 +184,7 @@ class RigLog:
         number -= phase
         return number, float(self.time_s[0]) + period * phase, int(np.floor(number[-1] + 0.5)) + 1
 
-    def _with_rows(self, put: Any) -> RigLog:
+    def _with_rows(self, put: Any) -> "RigLog":
         changed: dict[str, Any] = {}
         for signal in ("time", "late", *CHANNEL_SIGNALS, *RIG_SIGNALS):
             values = self.get(signal)

@@ -25,8 +25,6 @@ its displacement in m2; everything else is the same. A model that a diagnosis wr
 model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the log. A channel that is not named is absent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -87,7 +85,7 @@ class Part(FileTable):
     full_scale: Number | None = None
 
     @model_validator(mode="after")
-    def _sensible(self) -> Part:
+    def _sensible(self) -> "Part":
         quantity = unit(self.unit).quantity
         if self.scale == 0.0:
             raise ValueError("scale is 0, so the signal would vanish; use sign: -1 to reverse it")
@@ -156,7 +154,7 @@ class Time(FileTable):
     sample_rate: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
 
     @model_validator(mode="after")
-    def _one_clock(self) -> Time:
+    def _one_clock(self) -> "Time":
         if (self.column is None) == (self.sample_rate is None):
             raise ValueError("give either `column` (with its unit) or `sample_rate` (rows per second)")
         quantity = unit(self.unit).quantity
@@ -203,7 +201,7 @@ class ChannelMapping(ChannelTable[Source, Source]):
         return float(to_si(known.value, known.unit)) if known else None
 
     @model_validator(mode="after")
-    def _units_fit(self) -> ChannelMapping:
+    def _units_fit(self) -> "ChannelMapping":
         _check_units(self, CHANNEL_SIGNALS, self.actuator)
         if self.displacement is not None:
             _check_unit("displacement", self.displacement.unit, self.actuator)
@@ -247,7 +245,7 @@ class Mapping(FileTable):
     channel_2: ChannelMapping | None = None
 
     @model_validator(mode="after")
-    def _some_channel(self) -> Mapping:
+    def _some_channel(self) -> "Mapping":
         present = [channel for channel in self.channels if channel is not None]
         if not present:
             raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")

@@ -7,8 +7,6 @@ text a page shows can neither end an element nor stand for another value: `rende
 each place of a template is filled once. All but `fill` needs the extra `report`.
 """
 
-from __future__ import annotations
-
 import html
 import io
 import json
@@ -120,7 +118,7 @@ def fill(template: Path | Traversable, **data: Any) -> str:
     return re.sub(r"/\*(?P<name>[A-Z]+)\*/(?:null)?", value, template.read_text(encoding="utf-8"))
 
 
-def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> tuple[Figure, list[Any]]:
+def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> "tuple[Figure, list[Any]]":
     """A Matplotlib figure of page width with `rows` axes of `height` inches below each other, which share the axis along.
 
     Room for what stands around the axes is measured. Or there are `left` inches of it on the left, and elsewhere enough for a
@@ -153,7 +151,7 @@ def legend(axis: Any) -> None:
     axis.legend(ncols=columns, frameon=False, fontsize=8.5, labelcolor=INK, **place)
 
 
-def svg(drawing: Figure, alt: str) -> Any:
+def svg(drawing: "Figure", alt: str) -> Any:
     """The figure as inline SVG (`Markup`) that takes its text colour and font from the page."""
     import matplotlib
     from markupsafe import Markup, escape
@@ -177,7 +175,7 @@ def svg(drawing: Figure, alt: str) -> Any:
     return Markup(text)
 
 
-def _as_written(drawing: Figure) -> None:
+def _as_written(drawing: "Figure") -> None:
     """Shows all texts but the numbers at the axes as they are: a name with two "$" is not a formula."""
     from matplotlib.text import Text
 
@@ -186,7 +184,7 @@ def _as_written(drawing: Figure) -> None:
         text.set_parse_math(False)
 
 
-def png(drawing: Figure, path: Path) -> None:
+def png(drawing: "Figure", path: Path) -> None:
     """The figure as a PNG on white, for places that show no SVG."""
     import matplotlib
     from matplotlib.text import Text

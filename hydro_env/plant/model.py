@@ -1,7 +1,5 @@
 """A model of the rig: which values its parameters have and which effects act."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -107,7 +105,7 @@ class PlantModel:
         """The values of both channels."""
         return self.value(name, 0), self.value(name, 1)
 
-    def with_values(self, values: Mapping[str, Any], name: str | None = None) -> PlantModel:
+    def with_values(self, values: Mapping[str, Any], name: str | None = None) -> "PlantModel":
         """A new model with some values changed; a single number stands for both channels."""
         changed = dict(self.values)
         for key, value in values.items():
@@ -118,7 +116,7 @@ class PlantModel:
         ranges = ranges_of(self.ranges, changed)
         return replace(self, values=changed, name=self.name if name is None else name, ranges=ranges)
 
-    def without(self, effect: str) -> PlantModel:
+    def without(self, effect: str) -> "PlantModel":
         """A new model in which this effect does not act."""
 
         def rest(table: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
@@ -127,7 +125,7 @@ class PlantModel:
         declared = tuple(name for name in self.declared if name != effect)
         return replace(self, values=rest(self.values), declared=declared, ranges=rest(self.ranges))
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> PlantModel:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "PlantModel":
         """Itself: a model never changes."""
         return self
 

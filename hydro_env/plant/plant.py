@@ -3,8 +3,6 @@
 Arrays have the shape (num_rigs, 2), column 0 is channel 1, column 1 channel 2; everything is SI.
 """
 
-from __future__ import annotations
-
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -239,7 +237,7 @@ class Plant:
         self.run_into(self._empty, nothing, nothing, 1.0)
 
     def take_state(
-        self, other: Plant, rows: NDArray[np.int64] | None = None, parameters: bool = False
+        self, other: "Plant", rows: NDArray[np.int64] | None = None, parameters: bool = False
     ) -> None:
         """Puts all rigs into the state of another plant's, which may have another tolerance and dtype; rig i into that of the
         other's rig `rows[i]`, where given. `parameters`: gives them their parameters as well.
@@ -264,7 +262,7 @@ class Plant:
                 part = other._by_channel(theirs)[from_block, :, :, from_lane]
                 self._by_channel(mine)[block, :, :, lane] = part
 
-    def select(self, rows: NDArray[np.int64]) -> Plant:
+    def select(self, rows: NDArray[np.int64]) -> "Plant":
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""
         kernel = self.kernel
         some = Plant(
@@ -397,7 +395,7 @@ class Plant:
         self.__dict__.update(state)
         self._cells = self.kernel.room()
 
-    def copy(self) -> Plant:
+    def copy(self) -> "Plant":
         """Rigs of their own with the same parameters and state."""
         return copy.deepcopy(self)
 

@@ -6,8 +6,6 @@ a torque with displacement times supply pressure, and so on by the unit (Ivantys
 displacement machines; Merritt 1967, ch. 5, valves by rated flow). All scales are 1 on the paper's rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, log10, prod
@@ -52,7 +50,7 @@ class Scales:
         return self.factor("N m")
 
     @property
-    def rough(self) -> Scales:
+    def rough(self) -> "Scales":
         """The same, with what is about as large as on the paper's rig taken as equal: within a quarter of a decade."""
         own = {name: 1.0 if 10**-0.25 < value < 10**0.25 else value for name, value in vars(self).items()}
         return Scales(**(own | {"command": self.command}))
@@ -74,7 +72,7 @@ class Scales:
             possible=(min(least, factor * least), max(most, factor * most)),
         )  # fmt: skip
 
-    def effect(self, effect: Effect) -> Effect:
+    def effect(self, effect: "Effect") -> "Effect":
         """An effect with the bounds and sizes that are usual on this rig; `effect` itself where they are the same."""
         own = tuple(map(self.parameter, effect.parameters))
         same = all(a is b for a, b in zip(own, effect.parameters, strict=True))

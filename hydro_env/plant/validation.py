@@ -1,7 +1,5 @@
 """Which values and models are accepted: those that a component can have and that are simulated correctly."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -56,7 +54,7 @@ def wrong_values(model: Rig, names: Iterable[str]) -> Iterator[tuple[str, int, s
                 yield name, channel, wrong
 
 
-def check_channel(model: PlantModel, channel: int, where: str) -> None:
+def check_channel(model: "PlantModel", channel: int, where: str) -> None:
     """InputError for a spool whose dry friction is too small to be simulated, or that no stop holds, and for a motor that rings
     against its line faster than can be followed."""
     names = ("alpha", "R", "k", "Fc", "Fs", "x_max", "k_stop", "u_rated", "D", "J", "V", "beta")

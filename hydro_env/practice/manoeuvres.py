@@ -12,8 +12,6 @@ values, a shorter one the beginning of the first.
 Or it plays commands from a table, such as the next experiment that a diagnosis proposes (`plans_of`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -45,15 +43,15 @@ class Plan(NamedTuple):
     load: Array
 
     @staticmethod
-    def join(parts: Iterable[Plan]) -> Plan:
+    def join(parts: "Iterable[Plan]") -> "Plan":
         """One after the other."""
         return Plan(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def scaled(self, speed: float, torque: float) -> Plan:
+    def scaled(self, speed: float, torque: float) -> "Plan":
         """The same with set-points and loads times as large."""
         return Plan(np.where(self.closed, speed, 1.0) * self.value, self.closed, torque * self.load)
 
-    def ramped(self, command: float, setpoint: float) -> Plan:
+    def ramped(self, command: float, setpoint: float) -> "Plan":
         """The same with commands and set-points that change by so much from row to row at most."""
         value, now = self.value.copy(), 0.0
         for n, (wanted, closed) in enumerate(zip(self.value, self.closed, strict=True)):

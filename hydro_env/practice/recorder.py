@@ -5,8 +5,6 @@ values are rounded to the resolution of each sensor. Sensors are those for the r
 set-points and loads of a manoeuvre, grow with it (`plant.scales`).
 """
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -127,7 +125,7 @@ class _Motor:
     ramp: float
 
     @classmethod
-    def of(cls, given: PlantModel, channel: int) -> _Motor:
+    def of(cls, given: PlantModel, channel: int) -> "_Motor":
         D, J, Km = (given.value(name, channel) for name in ("D", "J", "Km"))
         at = rated(given, channel)
         square, decay = swing(given, channel)

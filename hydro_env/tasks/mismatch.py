@@ -15,8 +15,6 @@ Parameters are those of the plant ("Kq", "dead_zone.overlap_positive", ...) and 
 warning (`InputWarning`).
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -81,7 +79,7 @@ class Range(FileTable):
         return data if isinstance(data, Mapping | Range) else {"fixed": two_numbers(data)}
 
     @model_validator(mode="after")
-    def _one_range(self) -> Range:
+    def _one_range(self) -> "Range":
         if [self.fixed, self.uniform, self.loguniform].count(None) != 2:
             raise ValueError("expected a number, a pair, or uniform or loguniform: [low, high]")
         low, high = self.ends
@@ -128,7 +126,7 @@ class Range(FileTable):
             return drawn * [scales_of(model, c).factor(parameter_of(name).unit) for c in (0, 1)]
         return drawn * (np.array(model.pair(name)) / self.meant_for)
 
-    def check(self, name: str, before: Mapping[str, Range]) -> None:
+    def check(self, name: str, before: "Mapping[str, Range]") -> None:
         """InputError for a range that this parameter, behind those above it, cannot have."""
         _check_bounds(name, self.ends)
         if self.fixed and name in _OF_RIG and self.fixed[0] != self.fixed[1]:
@@ -150,8 +148,8 @@ class Pairs:
 
 
 #: The named splits and pairs of `splits.yaml`.
-SPLITS: dict[str, Mismatch] = {}
-NAMED_PAIRS: dict[str, Mismatch] = {}
+SPLITS: "dict[str, Mismatch]" = {}
+NAMED_PAIRS: "dict[str, Mismatch]" = {}
 
 
 def _shared(ranges: dict[str, Range]) -> dict[str, Range]:
@@ -186,7 +184,7 @@ class Mismatch(FileTable):
     rig: Ranges = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _fits(self) -> Mismatch:
+    def _fits(self) -> "Mismatch":
         parts = {"": self.ranges} | {f"faults.{fault}: ": changed for fault, changed in self.faults.items()}
         for part, ranges in parts.items():
             for place, (name, each) in enumerate(ranges.items()):

@@ -9,8 +9,6 @@ column per channel. A load acts against positive speed. Loads of the scenarios h
 and loads are those of the paper's rig; on another one they are scaled to its size, tables of one's own are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -62,7 +60,7 @@ class Scenario:
     speed: float = 1.0
     torque: float = 1.0
 
-    def on(self, scales: Scales) -> Scenario:
+    def on(self, scales: Scales) -> "Scenario":
         """The scenario of the paper's rig on one of these scales, with 600 rpm there rounded to two digits here."""
         speed = float(f"{600.0 * scales.speed:.2g}") / 600.0
         if speed == scales.torque == 1.0:

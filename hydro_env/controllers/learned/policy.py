@@ -9,8 +9,6 @@ A layer n that also has `v{n}` and `c{n}` is a gated recurrent unit (Cho et al.,
 inputs), `v` (3 H, H) and the biases `b` and `c` (3 H,) stand for the reset gate, the update gate and the new state.
 """
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -124,7 +122,7 @@ class Network:
         assert isinstance(last, Dense)
         return SQUASHES[self.squash](last(hidden))
 
-    def astype(self, dtype: type) -> Network:
+    def astype(self, dtype: type) -> "Network":
         """The same network in another precision."""
         layers = [type(layer)(*(array.astype(dtype) for array in layer)) for layer in self.layers]
         return Network(layers, self.activation, self.squash)

@@ -3,8 +3,6 @@
 In training the environment does the same by its arguments `history`, `increment` and `errors`: see `env_kwargs`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -29,7 +27,7 @@ class InterfaceTable(FileTable):
     errors: StrictBool = False
 
 
-def make_interface(table: Any, where: str = "interface") -> FramesInterface:
+def make_interface(table: Any, where: str = "interface") -> "FramesInterface":
     """An interface from its table in a policy or training file; the plain observation without any. InputError, which begins with
     `where`, for anything that is not right."""
     given = checked(InterfaceTable, {} if table is None else table, where)

@@ -13,8 +13,6 @@ so that a spool that has the longer way to its edge sets out first, and one that
 worked on by itself: a row of a batch gets bit for bit what it would get alone.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -85,7 +83,7 @@ class Work(NamedTuple):
     tried: Floats
 
     @classmethod
-    def of(cls, steps: int) -> Work:
+    def of(cls, steps: int) -> "Work":
         empty = np.empty
         return cls(
             empty((2, HORIZON + 1)), empty((2, 2)), empty((2, HORIZON * steps)), np.zeros((HORIZON + 1, COMMANDS)),

@@ -14,8 +14,6 @@ with the plan is taken from the linear parts of valve and motor. A cost is to be
 A row of a batch gets bit for bit what it would get alone.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +63,7 @@ class Task(NamedTuple):
     stops: Floats
     huber_scale: Floats
 
-    def of(self, rows: NDArray[np.int64]) -> Task:
+    def of(self, rows: NDArray[np.int64]) -> "Task":
         """That of some rigs."""
         return Task(*(each[rows] for each in self))
 

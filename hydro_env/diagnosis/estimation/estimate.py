@@ -1,7 +1,5 @@
 """An estimate: the unknowns of a channel or of the whole rig, their values so far, and what was simulated with these."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from math import nan
@@ -87,22 +85,22 @@ class Estimate:
         return list(dict.fromkeys(every))
 
     # --- other estimates made from this one -------------------------------------------------------------------------------
-    def at(self, q: Vector, label: str | None = None) -> Estimate:
+    def at(self, q: Vector, label: str | None = None) -> "Estimate":
         """The same unknowns at q, not yet simulated."""
         label = self.label if label is None else label
         return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
 
-    def from_given(self) -> Estimate:
+    def from_given(self) -> "Estimate":
         """Known parameters as given, but those of the coil (the current determines them, whatever is missing behind), and
         effects as they are: known parameters that were fitted while an effect was missing have moved to make up for it."""
         known = np.array([not u.effect and u.name not in ("R", "L") for u in self.unknowns])
         return self.at(np.clip(np.where(known, 0.0, self.q), *self.bounds))
 
-    def in_all_directions(self) -> Estimate:
+    def in_all_directions(self) -> "Estimate":
         """The same values, to go on with derivatives along every direction of `SCALED_TOGETHER`: for where nothing is missing."""
         return replace(self.at(self.q.copy()), together=tuple(SCALED_TOGETHER))
 
-    def with_effect(self, of: Effect | str, start: dict[str, float], on: int | None = None) -> Estimate:
+    def with_effect(self, of: Effect | str, start: dict[str, float], on: int | None = None) -> "Estimate":
         """An effect more, one of the paper's rig by its name, at the values `start` {own name: value}; `on` a channel, where the
         estimate is the rig's."""
         described = CATALOGUE[of] if isinstance(of, str) else of
@@ -117,7 +115,7 @@ class Estimate:
                     q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
         return Estimate(self.channel, [*self.unknowns, *added], q, effect, follow=self.follow)
 
-    def extended(self, effect: Effect | str, start: dict[str, float], on: int | None = None) -> Estimate:
+    def extended(self, effect: Effect | str, start: dict[str, float], on: int | None = None) -> "Estimate":
         """An effect more, with the derivatives taken along; those of the new parameters are zero."""
         twin = self.with_effect(effect, start, on)
         for c, known in self.columns.items():
@@ -126,7 +124,7 @@ class Estimate:
             own[:, : known.shape[1]] = known
         return twin
 
-    def without(self, effect: str, on: int | None = None) -> Estimate:
+    def without(self, effect: str, on: int | None = None) -> "Estimate":
         """An effect less, at the same values of everything else; `on` as in `with_effect`."""
         alone = on if self.channel is None else None
         keep = [j for j, u in enumerate(self.unknowns) if (u.effect, u.channel) != (effect, alone)]
@@ -139,7 +137,7 @@ class Estimate:
         if cost < self.cost:
             self.cost, self.q, self.simulated = cost, q, simulated
 
-    def adopt(self, other: Estimate) -> bool:
+    def adopt(self, other: "Estimate") -> bool:
         """Takes over the values of `other`, of the same unknowns, if it explains the logs better; whether it does."""
         better = other.cost < self.cost
         if better:

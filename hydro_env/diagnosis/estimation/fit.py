@@ -5,8 +5,6 @@ the noise's, which is maximum likelihood for variances that are unknown. What th
 few events that it misses (a spool that sticks a moment longer) do not drown the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import nan, pi, sqrt
@@ -76,11 +74,11 @@ class Fit:
     noise: Noise
     settings: Settings = field(default_factory=Settings)
 
-    def on(self, rig: RigModel) -> Fit:
+    def on(self, rig: RigModel) -> "Fit":
         """The same with other logs, or another view of the model."""
         return replace(self, rig=rig)
 
-    def with_noise_seen_by(self, estimates: Estimates) -> Fit:
+    def with_noise_seen_by(self, estimates: Estimates) -> "Fit":
         """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
         seen = noise_of(self.rig, estimates)
         noise = {key: min(value, seen.get(key, value)) for key, value in self.noise.items()}

@@ -6,8 +6,6 @@ commands, so that the state at a window's beginning is the simulated one; only t
 A log of more than two minutes is taken in windows instead, chosen where none are named (`windows`), each a run of its own.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import os
@@ -53,7 +51,7 @@ class Part:
         log = self.log if self.uneven is None else self.uneven
         return log.command_V, np.zeros(log.command_V.shape) if log.load is None else log.load
 
-    def first(self, rows: int) -> Part:
+    def first(self, rows: int) -> "Part":
         """The part with its first `rows` rows only."""
         held = None if self.held is None else self.held[:, : rows * self.finer]
         return replace(self, log=self.log.first(rows), inside=self.inside[:rows], held=held)

@@ -4,8 +4,6 @@ Two models exist: `dynamic_rig.DynamicRig`, the dynamic plant, and `steady_valve
 which only command and speed (and perhaps pressure) are known. Everything after this file works on either.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
@@ -52,7 +50,7 @@ class Request:
 
     channel: int | None
     values: Mapping[str, Any]
-    like: Request | None = None
+    like: "Request | None" = None
 
     def on(self, channel: int) -> Mapping[str, float]:
         """The values that are wanted on a channel, by name."""
@@ -224,7 +222,7 @@ class RigModel:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
         raise NotImplementedError
 
-    def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
+    def with_parts(self, parts: list[Part], every_row: bool) -> "RigModel":
         """The same model on other logs, with the accuracy of the proof."""
         raise NotImplementedError
 
@@ -241,7 +239,7 @@ class RigModel:
         """Estimated values, a pair of both channels each, as they go to a model file of the plant."""
         return dict(values)
 
-    def following(self, channels: Collection[int]) -> RigModel:
+    def following(self, channels: Collection[int]) -> "RigModel":
         """The same model with the simulated speed of these channels drawn to the measured one; none: simulated freely."""
         return self
 

@@ -1,7 +1,5 @@
 """The dynamic plant as a model of the diagnosis: many parameter variants as lanes of the batched kernel."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -91,13 +89,13 @@ class DynamicRig(RigModel):
         #: effects on it, in which rounding shows: so they are always together.
         self._shared = frozenset(n for n, e in cheap.items() if not e.states) - leaks, leaks
 
-    def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
+    def with_parts(self, parts: list[Part], every_row: bool) -> "DynamicRig":
         return DynamicRig(
             self.model, parts, every_row=every_row, tolerance=PROOF_TOLERANCE, dtype=PROOF_DTYPE, jobs=self.jobs,
             progress=self.progress, without=self.without,
         )  # fmt: skip
 
-    def following(self, channels: Collection[int]) -> DynamicRig:
+    def following(self, channels: Collection[int]) -> "DynamicRig":
         # An uneven log is simulated on a finer grid than it is measured on.
         return self.view(followed=frozenset(() if any(p.held is not None for p in self.parts) else channels))
 

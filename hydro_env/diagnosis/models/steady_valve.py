@@ -9,8 +9,6 @@ cylinder axis is a motor axis whose displacement is its piston area; what can be
 only, so Kq is estimated and D is the mapping's or the model's.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -59,7 +57,7 @@ class SteadyValve(RigModel):
         wide = Parameter("Kq", kq.unit, kq.nominal, low, high, "least squares", kq.note, log=True)
         self.own = {"lag": LAG, "Kq": wide}
 
-    def with_parts(self, parts: list[Part], every_row: bool) -> SteadyValve:
+    def with_parts(self, parts: list[Part], every_row: bool) -> "SteadyValve":
         return SteadyValve(
             self.model, parts, every_row=every_row, progress=self.progress, flow_gain=self.flow_gain, without=self.without,
         )  # fmt: skip

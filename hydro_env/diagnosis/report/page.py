@@ -1,8 +1,6 @@
 """The report: a page that needs no network, for a manager (first sentence, first picture) and an engineer (the rest), and its
 pictures, inline SVG with their captions."""
 
-from __future__ import annotations
-
 import textwrap
 from datetime import date
 from importlib.resources import files
@@ -35,7 +33,7 @@ _COLOURS = {"before": COLOURS[1], "calibrated": COLOURS[5], "after": COLOURS[0]}
 _ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
 
 
-def report_page(state: Diagnosis) -> str:
+def report_page(state: "Diagnosis") -> str:
     """The HTML page."""
     return render(
         files(__package__).joinpath("page.html"),
@@ -48,7 +46,7 @@ def report_page(state: Diagnosis) -> str:
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------------
-def traces(state: Diagnosis) -> list[dict[str, Any]]:
+def traces(state: "Diagnosis") -> list[dict[str, Any]]:
     """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
     other signal that calibration leaves far off."""
     proof, first = state.proofs.held_out, say.headline(state).channel
@@ -60,7 +58,7 @@ def traces(state: Diagnosis) -> list[dict[str, Any]]:
     return [_trace(state, s) for s in (*speeds, *far)]
 
 
-def _trace(state: Diagnosis, segment: Segment) -> dict[str, Any]:
+def _trace(state: "Diagnosis", segment: Segment) -> dict[str, Any]:
     """The picture of a signal, and what its caption needs."""
     proof, channel, keep = state.proofs.held_out, segment.channel, segment.used
     unit, size = say.unit_of(proof.rig, segment.signal, channel)

@@ -1,7 +1,5 @@
 """What the report says, sentences and rows made of a diagnosis, and the same in about twenty lines of text for a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,15 +61,15 @@ def errors_of(proof: Proof) -> list[SignalErrors]:
     return [SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry) for (c, signal), entry in every]
 
 
-def _speeds(state: Diagnosis) -> list[SignalErrors]:
+def _speeds(state: "Diagnosis") -> list[SignalErrors]:
     return [e for e in errors_of(state.proofs.held_out) if e.signal == "speed"]
 
 
-def _worst(state: Diagnosis) -> SignalErrors:
+def _worst(state: "Diagnosis") -> SignalErrors:
     return max(_speeds(state), key=lambda e: e.above_noise)
 
 
-def headline(state: Diagnosis) -> SignalErrors:
+def headline(state: "Diagnosis") -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
     speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
     own = [e for e in speeds if e.channel in named] or speeds
@@ -79,7 +77,7 @@ def headline(state: Diagnosis) -> SignalErrors:
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
-def sentence(state: Diagnosis) -> str:
+def sentence(state: "Diagnosis") -> str:
     """The verdict in a sentence, and the proof in another."""
     head, doubtful = headline(state), _doubtful(state)
     e, unit = head.errors, head.unit
@@ -103,7 +101,7 @@ def sentence(state: Diagnosis) -> str:
     return f"{doubtful} {lacks(state)} {error}: {before}.{other}".strip()
 
 
-def _doubtful(state: Diagnosis) -> str:
+def _doubtful(state: "Diagnosis") -> str:
     """What speaks against the logs themselves, before anything is concluded from them, or nothing."""
     texts = []
     if state.undetermined:
@@ -118,7 +116,7 @@ def _doubtful(state: Diagnosis) -> str:
     return " ".join(texts)
 
 
-def _guess(state: Diagnosis) -> str:
+def _guess(state: "Diagnosis") -> str:
     """The best guess, and what is proven: the share of a speed's error that it explains, and what it leaves."""
     worst = _worst(state)
     e = worst.errors
@@ -133,7 +131,7 @@ def _guess(state: Diagnosis) -> str:
     )
 
 
-def _lacks(state: Diagnosis) -> str:
+def _lacks(state: "Diagnosis") -> str:
     sure = [n for n in state.effects if n.probability >= LIKELY or len(state.effects) == 1]
     perhaps = [n for n in state.effects if n not in sure]
     text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
@@ -142,7 +140,7 @@ def _lacks(state: Diagnosis) -> str:
     return text
 
 
-def _unknown(state: Diagnosis) -> str:
+def _unknown(state: "Diagnosis") -> str:
     shown = shown_locations(state)[:2]
     places = [f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}, {p.regime}" for p in shown]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
@@ -160,7 +158,7 @@ def _said(n: NamedEffect) -> str:
     return text + (f" (or {tied}: these logs cannot distinguish them)" if tied else "")
 
 
-def log_names(state: Diagnosis) -> str:
+def log_names(state: "Diagnosis") -> str:
     """The logs that were fitted, two by name."""
     names = list(dict.fromkeys(part.log.name for part in state.rig.parts))
     return words.listed(names if len(names) < 3 else [*names[:2], f"{len(names) - 2} more"])
@@ -172,7 +170,7 @@ def short_names(rig: RigModel) -> list[str]:
 
 
 # --- what is left ---------------------------------------------------------------------------------------------------------
-def remaining(state: Diagnosis, n: NamedEffect) -> str:
+def remaining(state: "Diagnosis", n: NamedEffect) -> str:
     """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
     speeds = [s for s in _speeds(state) if s.channel in (n.channels or state.rig.channels)]
     return words.listed([
@@ -182,7 +180,7 @@ def remaining(state: Diagnosis, n: NamedEffect) -> str:
     ])  # fmt: skip
 
 
-def weak_proof(state: Diagnosis) -> str:
+def weak_proof(state: "Diagnosis") -> str:
     """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
     entry = headline(state).errors
     near = entry["placebo"] <= PLACEBO_NEAR * entry.get(NAMED, entry["after"])
@@ -196,13 +194,13 @@ def weak_proof(state: Diagnosis) -> str:
 
 
 # --- where it is ----------------------------------------------------------------------------------------------------------
-def shown_locations(state: Diagnosis) -> list[Location]:
+def shown_locations(state: "Diagnosis") -> list[Location]:
     """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
     left = {c for (c, _), e in state.proofs.fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
     return sorted((p for p in state.locations if p.channel in left), key=lambda p: -p.share)
 
 
-def windows_text(state: Diagnosis, location: Location) -> str:
+def windows_text(state: "Diagnosis", location: Location) -> str:
     """The windows of a location, by log."""
     texts, parts = [], state.rig.parts
     for number in dict.fromkeys(log for log, _, _ in location.windows):
@@ -211,14 +209,14 @@ def windows_text(state: Diagnosis, location: Location) -> str:
     return "; ".join(texts)
 
 
-def places(state: Diagnosis) -> list[str]:
+def places(state: "Diagnosis") -> list[str]:
     """Where effects may be: the channels, and the rig if there are such candidates."""
     of_rig = any("rig" in row for row in detectable(state.screening).values())
     return [*(str(c + 1) for c in state.rig.channels), *(["rig"] if of_rig else [])]
 
 
 # --- numbers --------------------------------------------------------------------------------------------------------------
-def effect_values(state: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]]:
+def effect_values(state: "Diagnosis", n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
     c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
     effect, values = CATALOGUE[n.name], n.parameters.items()
@@ -242,13 +240,13 @@ def comment(rig: RigModel, p: KnownParameter) -> str:
     )
 
 
-def error_columns(state: Diagnosis) -> list[tuple[str, str, int]]:
+def error_columns(state: "Diagnosis") -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
     return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
-def correction_texts(state: Diagnosis) -> Iterator[str]:
+def correction_texts(state: "Diagnosis") -> Iterator[str]:
     """What each form correction is, in a line."""
     for k in state.models.corrections:
         values = list(values_of_effect(state.models.final, k.correction, k.channel).items())
@@ -259,7 +257,7 @@ def correction_texts(state: Diagnosis) -> Iterator[str]:
         yield f"{what}: {shown}{more}"
 
 
-def ranking(state: Diagnosis) -> list[Candidate]:
+def ranking(state: "Diagnosis") -> list[Candidate]:
     """Candidates by gain in their last try: accepted ones first, then by gain."""
     last: dict[tuple[str, int | None], Candidate] = {}
     for t in state.selection.candidates:
@@ -276,7 +274,7 @@ def ranking(state: Diagnosis) -> list[Candidate]:
 
 
 # --- in about twenty lines --------------------------------------------------------------------------------------------------
-def summary(state: Diagnosis) -> str:
+def summary(state: "Diagnosis") -> str:
     """What the page says, shorter."""
     guess = " (best guess, not proven)" if state.best_guess else ""
     found, tried, known, warnings = _places(state), _tried(state), _known(state), state.warnings
@@ -304,13 +302,13 @@ def _first(texts: Sequence[str], count: int = 6) -> str:
     return f"{', '.join(texts[:count])}{more}"
 
 
-def _effect(state: Diagnosis, n: NamedEffect) -> str:
+def _effect(state: "Diagnosis", n: NamedEffect) -> str:
     every = effect_values(state, n)
     values = "; ".join(f"{name} {value}" + (f" = {share}" if share else "") for name, value, share in every)
     return f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}"
 
 
-def _places(state: Diagnosis) -> list[str]:
+def _places(state: "Diagnosis") -> list[str]:
     lines = []
     for p in shown_locations(state)[:2]:
         where = f"{words.EQUATIONS[p.equation]} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
@@ -319,7 +317,7 @@ def _places(state: Diagnosis) -> list[str]:
     return lines
 
 
-def _errors(state: Diagnosis) -> list[str]:
+def _errors(state: "Diagnosis") -> list[str]:
     """The table of errors on the held-out logs."""
     columns = error_columns(state)
     heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
@@ -334,7 +332,7 @@ def _errors(state: Diagnosis) -> list[str]:
     return [*lines, *([f"    at the noise with every model: {', '.join(quiet)}"] if quiet else [])]
 
 
-def _tried(state: Diagnosis) -> list[str]:
+def _tried(state: "Diagnosis") -> list[str]:
     """The best candidates that were refitted and rejected."""
     tried = [r for r in ranking(state) if r.refitted and not r.accepted]
     texts = [f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f}: {r.outcome})" for r in tried[:3]]
@@ -343,7 +341,7 @@ def _tried(state: Diagnosis) -> list[str]:
     return [] if state.effects else ["  no effect was worth a closer look"]
 
 
-def _known(state: Diagnosis) -> str:
+def _known(state: "Diagnosis") -> str:
     """The known parameters that moved most."""
     own = state.rig.own  # of a reduced model: its nominal values stand for nothing
     known = [p for p in state.known if p.moved and abs(p.change) >= 0.005]
@@ -357,7 +355,7 @@ def _known(state: Diagnosis) -> str:
     return f"  known parameters that moved: {_first(texts)}{check}"
 
 
-def _hidden(state: Diagnosis) -> str:
+def _hidden(state: "Diagnosis") -> str:
     named = {(n.name, str(c + 1)) for n in state.effects for c in n.channels}
     texts = []
     for name, row in detectable(state.screening).items():

@@ -7,8 +7,6 @@ falls by more than the penalty that a further effect would have to pay. It never
 there is nothing to correct. Effects that the model as given has get their corrections before any is sought.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -55,14 +53,14 @@ class Models:
         """The estimates whose known parameters are reported."""
         return self.calibrated if self.final == self.given else self.final
 
-    def with_shown(self, shown: Estimates) -> Models:
+    def with_shown(self, shown: Estimates) -> "Models":
         """The same with other estimates for those that are reported; one that is several models' stays one."""
         new = {p: shown[c] for c, p in self.shown.items()}
         names = ("given", "calibrated", "named", "final", "placebo")
         own: Any = {name: {c: new.get(p, p) for c, p in getattr(self, name).items()} for name in names}
         return replace(self, **own)
 
-    def as_named(self) -> Models:
+    def as_named(self) -> "Models":
         """The same without the corrections of what is named."""
         left = {placed for p in self.named.values() for placed in p.placed_effects()}
         kept = [k for k in self.corrections if (k.correction, k.channel) in left]

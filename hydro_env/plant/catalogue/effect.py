@@ -19,8 +19,6 @@ the lines that they drain and fill.
 A law that reads a function's own arguments only is what makes user effects possible: see `register`.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -128,7 +126,7 @@ class Effect:
     family: str = ""
     title: str = ""
     delays_command: str = ""
-    shares: Effect | None = None
+    shares: "Effect | None" = None
     separated_by: Mapping[str, str] = field(default_factory=dict)
     corrects: Mapping[str, Mapping[str, str | float]] = field(default_factory=dict)
 
