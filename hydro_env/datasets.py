@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import __version__
+from hydro_env.arrays import Floats, Singles
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import SIGNALS, Step, roll_out
 from hydro_env.errors import InputError, place_of, suggestion, to_install
 from hydro_env.plant import load_model, preset_names
-from hydro_env.streams import Component, Floats, Streams
+from hydro_env.streams import Component, Streams
 from hydro_env.tasks import OWN, SPLITS, load_scenario
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ class _RandomActions:
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Nothing: an object drives one episode."""
 
-    def act(self, observation: NDArray[np.float32]) -> Floats:
+    def act(self, observation: Singles) -> Floats:
         """The next action of each rig."""
         return 2.0 * self._streams.random(2) - 1.0
 

@@ -27,9 +27,10 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike
 from pydantic import BeforeValidator, Field
 
+from hydro_env.arrays import Floats
 from hydro_env.errors import InputError, located, shown, suggestion
 from hydro_env.plant import PARAMETERS, PlantModel, load_model, preset_names
 from hydro_env.plant.plant import Lost, grid_points
@@ -38,7 +39,6 @@ from hydro_env.units import UNITS, unit
 from hydro_env.validation import FileTable, Number, checked, known
 
 SCHEMA = "hydro_env/fmu_mapping/1"
-Floats = NDArray[np.float64]
 
 #: Signals of a channel: SI unit, and whether they go in.
 _SIGNALS = {

@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from enum import IntEnum
 from functools import partial
 from math import log, prod, sqrt
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from .arrays import AnyArray, Floats, Integers
 from .jit import compiled
-
-Floats = NDArray[np.float64]
 
 
 class Component(IntEnum):
@@ -44,7 +42,7 @@ class Streams:
     def __len__(self) -> int:
         return len(self.keys)
 
-    def random(self, shape: int | tuple[int, ...], rows: NDArray[Any] | slice = slice(None)) -> Floats:
+    def random(self, shape: int | tuple[int, ...], rows: AnyArray | slice = slice(None)) -> Floats:
         """The next numbers in [0, 1) of some rows (indices or mask): (rows, *shape). The other rows stay where they are.
 
         What is left of the last four words is passed over.
@@ -64,7 +62,7 @@ class Streams:
         return np.random.Generator(np.random.Philox(key=key, counter=counter))
 
 
-def _words(numbers: Sequence[int]) -> NDArray[np.uint64]:
+def _words(numbers: Sequence[int]) -> Integers:
     """Numbers as two words each, the lower one first."""
     return np.array([(n & 2**64 - 1, n >> 64) for n in numbers], np.uint64).reshape(-1, 2)
 

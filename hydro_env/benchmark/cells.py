@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env.arrays import Floats
 from hydro_env.benchmark.statistics import Summary, iqm, mean_of, normalised, scaled, summarise
 from hydro_env.benchmark.suite import BASELINE, BOUND, PEAK, RETURN, TRACKING, Suite
-from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import make_controller, source_of
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.gains import read_gains

@@ -14,11 +14,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hydro_env.arrays import Floats, Integers
 from hydro_env.validation import Count, FileTable, Number
-
-Floats = NDArray[np.float64]
 
 
 def iqm(values: ArrayLike) -> float:
@@ -87,7 +86,7 @@ def resampled(
 
 
 @lru_cache(maxsize=8)
-def _drawn(strata: tuple[tuple[int, ...], ...], resamples: int, seed: int) -> NDArray[np.int64]:
+def _drawn(strata: tuple[tuple[int, ...], ...], resamples: int, seed: int) -> Integers:
     """Which values make up every resample (resamples, n). Kept, since every metric of a suite asks for the same."""
     rng = np.random.default_rng(seed)
     drawn = [np.array(each)[rng.integers(0, len(each), (resamples, len(each)))] for each in strata]

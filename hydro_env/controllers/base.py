@@ -13,9 +13,9 @@ from math import inf, log
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Floats
+from hydro_env.arrays import AnyArray, Bools, Floats, Reals
+from hydro_env.controllers.estimation.nominal import SPOOL_RATE
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
@@ -35,9 +35,8 @@ TUNED = "tuned on `train`"
 #: Chosen once, never searched for.
 HAND = "set by hand"
 
-Bools = NDArray[np.bool_]
 #: Rigs, as an index of arrays.
-Rows = NDArray[Any] | slice
+Rows = AnyArray | slice
 
 #: One volt of command as a fraction of the rated command of the paper's valves.
 FRACTION_PER_V = 1.0 / PARAMETERS["u_rated"].nominal
@@ -179,7 +178,7 @@ class Controller:
         self.gains = self.converted(self.gains_given())
 
     @guarded
-    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
+    def act(self, observation: Reals) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         measured = decode(np.asarray(observation), self.rig).over(self.scales)
         if not self._started:

@@ -4,9 +4,8 @@ Preshaping Command Inputs to Reduce System Vibration, J. Dyn. Syst. Meas. Contro
 from math import cos, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from hydro_env.arrays import Bools, Floats
 
 
 class InputShaper:
@@ -23,7 +22,7 @@ class InputShaper:
         self.past = [*self.past[1:], command]
         return self.outer * ends + (1.0 - 2.0 * self.outer) * middle
 
-    def replace(self, where: NDArray[np.bool_], command: Floats) -> None:
+    def replace(self, where: Bools, command: Floats) -> None:
         """Goes on as if `command` had been in force for long `where`, (num_rigs, 1) or (num_rigs, 2)."""
         self.past = [np.where(where, command, each) for each in self.past]
 

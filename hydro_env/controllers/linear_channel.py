@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 
 
 def linear_rates(value: Callable[[str], Floats]) -> Floats:

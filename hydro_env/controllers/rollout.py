@@ -7,9 +7,9 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Controller, Floats
+from hydro_env.arrays import Floats, Singles
+from hydro_env.controllers.base import Controller
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.envs.own_functions import checked_rows
 from hydro_env.tasks import Trace, compute
@@ -26,7 +26,7 @@ class Step(NamedTuple):
     """What the environment gave after a control period, with one row per rig; `action` (num_rigs, 2) within [-1, 1] is applied
     as float32. Action and reward are missing after the reset."""
 
-    observation: NDArray[np.float32]
+    observation: Singles
     info: dict[str, Any]
     action: Floats | None = None
     reward: Floats | None = None
@@ -82,7 +82,7 @@ def roll_out(
     inform(controller, env.model, env.plant, lambda: _loads(env))
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
-    sizes: list[NDArray[np.float32]] = []
+    sizes: list[Singles] = []
     spent, returns, done = 0.0, np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
     while not done.all():
         began = perf_counter()

@@ -6,18 +6,16 @@ Keys are those of the data sheets; what no sheet has is `no_load_speed_rpm` and 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hydro_env.arrays import AnyArray, Floats
 from hydro_env.data_sheet.derive import total_drop
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
 from hydro_env.plant.model import VALVE_PARAMETERS
 from hydro_env.units import BAR, LPM, MILLISECOND, RPM
 from hydro_env.valve_bench import identify, record
-
-Floats = NDArray[np.float64]
 
 #: On the bench the drop over the valve is held, and nothing but the motor itself takes torque.
 _NO_RIG = {
@@ -110,7 +108,7 @@ def _response(
     return np.abs(found), np.unwrap(np.angle(found))
 
 
-def _crossing(x: NDArray[Any], y: NDArray[Any], level: float) -> float:
+def _crossing(x: AnyArray, y: AnyArray, level: float) -> float:
     """Where a signal first reaches a level from below, between the points."""
     above = np.flatnonzero(y >= level)
     if not above.size:

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import AnyArray, Bools, Floats, Integers, Picture, Singles
 from ..errors import InputError, check_known, shown
 from ..limits import Limits
 from ..plant import Plant, PlantModel, load_model, scales_of
@@ -31,10 +32,8 @@ from .profiles import encode
 from .randomisation import Episodes, Randomisation
 from .render import Recorder
 from .reward import Reward, load_reward
-from .rollout import Floats, Result, Rollout, Rows
+from .rollout import Result, Rollout
 from .step_kernels import COLUMNS, STATE
-
-Mask = NDArray[np.bool_]
 
 #: Keys of the `options` of `reset`.
 OPTIONS = ("mismatch", "scenario", "noise", "case", "reset_mask")
@@ -56,7 +55,7 @@ _CHUNK = 1024
 _OF_LINES = "lowest_line_pressure_bar"
 
 
-class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class HydraulicSyncVectorEnv(VectorEnv[Singles, Singles, AnyArray]):
     """The native batch of `HydraulicSync-v0`; `HydraulicSyncEnv` describes task, spaces and arguments.
 
     `gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=N, ...)` makes it. Beyond the single environment:
@@ -178,7 +177,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     # --- the interface of Gymnasium -------------------------------------------------------------------------------
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begins a new episode in every row (or those of `options["reset_mask"]`).
 
         Without a seed each row goes on to the next episode of its seed. InputError for unknown options.
@@ -221,12 +220,12 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         }
         return {key: readers[key](value) if key in readers else value for key, value in read.items()}
 
-    def _hold(self, rows: Rows, options: dict[str, Any]) -> None:
+    def _hold(self, rows: Integers, options: dict[str, Any]) -> None:
         """Notes the options with which the next episodes of these rows begin."""
         self._held[rows] = number = max(self._options) + 1 if options else 0
         self._options = {n: self._options.get(n, options) for n in {0, number, *self._held.tolist()}}
 
-    def _mask(self, given: Any) -> Mask:
+    def _mask(self, given: Any) -> Bools:
         """The rows (N,) that a reset is for; InputError if there are none."""
         if given is None:
             return np.ones(self.num_envs, np.bool_)
@@ -238,7 +237,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows, one at least chosen")
         return mask
 
-    def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Floats, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Singles, Floats, Bools, Bools, dict[str, Any]]:
         """One control period with the actions (N, 2). ValueError if they are no finite real numbers or the shape is wrong."""
         mode, everyone, again = self.autoreset_mode, np.ones(self.num_envs, np.bool_), self._ended
         if mode is AutoresetMode.DISABLED and again.any():
@@ -266,7 +265,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._true = true
         return self.seen(observation, true), reward, terminated, truncated, info
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+    def render(self) -> tuple[Picture, ...] | None:
         """A picture (height, width, 3) of each row's recent past, if `render_mode` is "rgb_array"."""
         if self._recorder is None:
             return None
@@ -325,7 +324,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             )
         return result
 
-    def seen(self, frames: NDArray[np.float32], true: Floats, finite: bool = True) -> NDArray[np.float32]:
+    def seen(self, frames: Singles, true: Floats, finite: bool = True) -> Singles:
         """What leaves the environment of its frames (N, n) and true signals (N, TRUE). InputError for what a function of the
         user's must not return."""
         shown = with_errors(frames) if self.errors else frames
@@ -342,7 +341,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         told = {k: table[:, c] for k, c in self.columns.items() if terms or not k.startswith("reward")}
         return told if self.privileged is None else {**told, "privileged": self.privileged.now()}
 
-    def reasons(self, terminated: Mask) -> NDArray[np.object_]:
+    def reasons(self, terminated: Bools) -> NDArray[np.object_]:
         """Why these rows were terminated, None for the others."""
         lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
         told = [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)]
@@ -350,7 +349,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     # --- episodes -------------------------------------------------------------------------------------------------
     def _begin(
-        self, rows: Rows, seed: int | Sequence[int | None] | None = None, *, scenario: Scenario | None = None,
+        self, rows: Integers, seed: int | Sequence[int | None] | None = None, *, scenario: Scenario | None = None,
         **options: Any,
     ) -> None:  # fmt: skip
         """Draws and starts an episode of each of these rows; `options` as for `reset`, read."""
@@ -408,21 +407,21 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             profiles.put(rows[part], starts, levels)
         number[rows] = rows + 1
 
-    def _restart(self, ended: Mask, result: Result) -> None:
+    def _restart(self, ended: Bools, result: Result) -> None:
         """Starts the next episode of these rows and puts its first signals in their place."""
         for number in np.unique(self._held[ended]):
             self._begin(np.flatnonzero(ended & (self._held == number)), **self._options[int(number)])
         self._show_first(ended, *result[:2])
 
     # --- outputs --------------------------------------------------------------------------------------------------
-    def _show_first(self, begun: Mask, frames: NDArray[np.float32], true: Floats) -> None:
+    def _show_first(self, begun: Bools, frames: Singles, true: Floats) -> None:
         """Puts what these rows show at the beginning of their episodes in its place."""
         rows, first = np.flatnonzero(begun), self._rollout.outputs()
         self._rollout.sense(rows, first)
         self._remember(rows, first)
         frames[begun], true[begun] = first[0][begun], first[1][begun]
 
-    def _remember(self, rows: Rows, result: Result) -> None:
+    def _remember(self, rows: Integers, result: Result) -> None:
         """Completes observations, whose last frame is new, by the frames before it, or where an episode begins by the new one
         again; and keeps what was sensed, for the next period and for pictures."""
         observation = result[0]
@@ -438,7 +437,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._recorder.add(rows, result[1], self._rollout.angle)
 
     def _info(
-        self, true: Floats, given: Mask, stepped: Mask | None = None, terminated: Mask | None = None
+        self, true: Floats, given: Bools, stepped: Bools | None = None, terminated: Bools | None = None
     ) -> dict[str, Any]:
         """True signals of the rows `given`, the terms of the reward of those that `stepped`, and why rows were `terminated`."""
         info: dict[str, Any] = {}
@@ -452,7 +451,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             info["termination"], info["_termination"] = self.reasons(terminated), terminated.copy()
         return info
 
-    def _drawn_info(self, mask: Mask) -> dict[str, Any]:
+    def _drawn_info(self, mask: Bools) -> dict[str, Any]:
         """What belongs to the first observation of some rows."""
         pairs, drawn = self.pairs, self._randomisation
         told: dict[str, Any] = {"mismatch": pairs | {"_" + name: mask for name in pairs}}

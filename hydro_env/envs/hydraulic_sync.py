@@ -7,8 +7,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
+from ..arrays import Picture, Singles
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
@@ -21,7 +21,7 @@ from .render import PICTURES, Window
 from .reward import Reward
 
 
-class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class HydraulicSyncEnv(gymnasium.Env[Singles, Singles]):
     """
     ## Description
 
@@ -162,7 +162,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begins an episode; see the class. InputError for unknown options."""
         if seed is not None:
             seed = SEED.check(seed, "reset: seed")
@@ -176,9 +176,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._show()
         return observation[0], {k: v.item() if isinstance(v, np.generic) else v for k, v in info.items()}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
         """One control period; see the class. ValueError for an action that is not two finite real numbers."""
         observation, true, reward, terminated, truncated = self.batch.step_rows([action])
         row, values = true[0], true[0].tolist()
@@ -194,7 +192,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._show()
         return self.batch.seen(observation, true)[0], float(reward[0]), ended, bool(truncated[0]), info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> Picture | None:  # type: ignore[override]
         """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"; "human" shows it by itself."""
         frames = None if self._window is not None else self.batch.render()
         return None if frames is None else frames[0]

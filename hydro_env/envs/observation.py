@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats, Reals, Singles
 from ..errors import InputError, check_known, shown
 from ..limits import Limits
 from ..plant import PAPER, Scales
 from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
-Floats = NDArray[np.float64]
 Level = float | Sequence[float]
 #: The argument `noise`: a factor or levels, each a number or [lowest, highest].
 Noise = Level | Mapping[str, Level]
@@ -77,7 +76,7 @@ def scales_on(rig: Scales) -> Floats:
     return SCALES * factors
 
 
-def decode(observation: NDArray[np.floating], rig: Scales = PAPER) -> Measurements:
+def decode(observation: Reals, rig: Scales = PAPER) -> Measurements:
     """The newest frame of observations (N, n) in SI, with errors in front or without, on a rig of this size (`scales_of(model)`).
 
     ValueError if n is no multiple of the length of a frame."""
@@ -89,14 +88,14 @@ def decode(observation: NDArray[np.floating], rig: Scales = PAPER) -> Measuremen
     return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
 
 
-def encode(measured: Measurements, rig: Scales = PAPER) -> NDArray[np.float32]:
+def encode(measured: Measurements, rig: Scales = PAPER) -> Singles:
     """The frames (N, FRAME) of measurements on a rig of this size: the opposite of `decode`."""
     m = measured
     frame = np.column_stack([m.setpoint, m.speed, m.current, m.pressure, m.command]) / scales_on(rig)
     return np.clip(frame, -LIMIT, LIMIT).astype(np.float32)
 
 
-def with_errors(observation: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+def with_errors(observation: Reals) -> Singles:
     """Observations (..., 9 k) with three numbers for each frame in front of them: (..., 12 k).
 
     Both motors' errors to the set-point and the speed difference, 1.0 for a tenth of that of the speeds, clipped to +-5. They

@@ -4,19 +4,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import AnyArray, Floats, Singles
 from ..errors import InputError, shown
 
 #: True signals (N, ...) by their names in `info`, read-only.
-Signals = Mapping[str, NDArray[Any]]
-OwnReward = Callable[[Signals], NDArray[Any]]
-OwnObservation = Callable[[NDArray[np.float32], Signals], NDArray[Any]]
+Signals = Mapping[str, AnyArray]
+OwnReward = Callable[[Signals], AnyArray]
+OwnObservation = Callable[[Singles, Signals], AnyArray]
 
 
-def checked_rows(
-    said: str, given: Any, shape: tuple[int | None, ...], finite: bool = True
-) -> NDArray[np.float64]:
+def checked_rows(said: str, given: Any, shape: tuple[int | None, ...], finite: bool = True) -> Floats:
     """What a function returned or a user gave, as an array. InputError, which begins with what is `said` of it ("act returned"),
     unless it holds finite real numbers of this shape, None for any length."""
     try:

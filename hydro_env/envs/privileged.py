@@ -4,13 +4,13 @@ critic for image-based robot learning, Robotics: Science and Systems, 2018)."""
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats, Singles
 from ..plant import Plant, PlantModel, Scales
 from ..tasks.mismatch import Mismatch, own_values
 from ..tasks.rigs import DERIVED, PACE, power_of_pace
 from ..tasks.scenarios import NOMINAL_TORQUE
-from .observation import LIMIT, Floats, scales_on
+from .observation import LIMIT, scales_on
 from .randomisation import Randomisation
 from .rollout import Rollout
 
@@ -60,7 +60,7 @@ class Privileged:
         parts += [_share(self._drawn.value(n, self._rollout.plant), *span) for n, span in self._spans.items()]
         self._values = np.clip(np.concatenate(parts, axis=1), -BEYOND, BEYOND)
 
-    def now(self) -> NDArray[np.float32]:
+    def now(self) -> Singles:
         """The numbers (N, k) of all rows as they are now."""
         states = [self._rollout.plant.get(name) / scale for name, scale in self._states.items()]
         states.append(self._rollout.state["load"] / self._torque)

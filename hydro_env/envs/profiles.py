@@ -1,12 +1,9 @@
 """Run-length encoded set-point and load profiles of a batch."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats, Integers
 from ..tasks.scenarios import Reference
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int32]
 
 #: Where a profile has no further segment.
 NEVER = np.iinfo(np.int32).max
@@ -28,7 +25,7 @@ class Profiles:
         """All rows have the same, an `encode`d one."""
         self.starts, self.levels = starts, levels
 
-    def put(self, rows: NDArray[np.int64], starts: Integers, levels: Floats) -> None:
+    def put(self, rows: Integers, starts: Integers, levels: Floats) -> None:
         """Rows have `encode`d profiles of their own, or one for all of them."""
         count, have, _ = self.levels.shape
         more = -(-max(levels.shape[1] - have, 0) // _STEP) * _STEP

@@ -5,16 +5,15 @@ from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import AnyArray, Floats, Integers
 from ..errors import InputError, shown
 from ..limits import Limits
 from ..plant import PlantModel
-from ..streams import Component, Floats, Streams
+from ..streams import Component, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, own_values
 from .step_kernels import NEVER
-
-Rows = NDArray[np.int64]
 
 SEED = Limits(0, 2**128 - 1, whole=True)
 
@@ -22,7 +21,7 @@ SEED = Limits(0, 2**128 - 1, whole=True)
 class Episodes(NamedTuple):
     """Episodes that the rows `rows` (n,) play next: each of a seed its number, and its case, -1 for none."""
 
-    rows: Rows
+    rows: Integers
     seeds: list[int]
     numbers: list[int]
     cases: list[int]
@@ -45,7 +44,7 @@ class Randomisation:
         self._sensor = {name: np.full((num_rows, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
 
     def next(
-        self, rows: Rows, mismatch: Mismatch | None, seed: int | Sequence[int | None] | None = None, case: Any = None,
+        self, rows: Integers, mismatch: Mismatch | None, seed: int | Sequence[int | None] | None = None, case: Any = None,
     ) -> Episodes:  # fmt: skip
         """What these rows play next: the first episode of their seeds where these are given, else the one after the last.
 
@@ -83,7 +82,7 @@ class Randomisation:
             self._sensor[name][rows] = values.pop(name)
         return values
 
-    def start(self, state: NDArray[Any], episodes: Episodes, period: float) -> None:
+    def start(self, state: AnyArray, episodes: Episodes, period: float) -> None:
         """Puts into the `STATE` of all rows what these episodes have of noise and faults of sensors."""
         rows = episodes.rows
         noise = episodes.streams(Component.NOISE)
@@ -112,7 +111,7 @@ class Randomisation:
 
 
 def _cases(
-    rows: Rows, mismatch: Mismatch | None, seeds: list[int], numbers: list[int], asked: Any
+    rows: Integers, mismatch: Mismatch | None, seeds: list[int], numbers: list[int], asked: Any
 ) -> list[int]:
     """Numbers of the cases these rows meet, -1 for none. InputError for one that is asked for and not there."""
     if mismatch is None or mismatch.cases is None:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats, Integers, Picture
 from ..errors import to_install
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-Floats = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 #: Control periods that the picture shows.
 SHOWN = 300
@@ -58,12 +56,12 @@ class Recorder:
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
         self._instants = np.zeros(num_rigs, np.int64)
 
-    def clear(self, rows: NDArray[np.int64]) -> None:
+    def clear(self, rows: Integers) -> None:
         """Forgets the past of some rows."""
         self._past[rows] = np.nan
         self._instants[rows] = 0
 
-    def add(self, rows: NDArray[np.int64], true: Floats, angle: Floats) -> None:
+    def add(self, rows: Integers, true: Floats, angle: Floats) -> None:
         """Adds an instant of some rows, given the true signals (N, TRUE) and the shaft angles (N, 2) of all."""
         self._past[rows] = np.roll(self._past[rows], -1, axis=1)
         now = np.column_stack([true[:, 2], true[:, 0:2], true[:, 4:6], angle])

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats
 from ..errors import InputError, check_known, shown
 from ..limits import Limits
 
@@ -30,7 +30,7 @@ class Reward:
     variation: float = 0.1
     divergence: float = 10.0
 
-    def weights(self, speed: float = 1.0) -> NDArray[np.float64]:
+    def weights(self, speed: float = 1.0) -> Floats:
         """The four weights per rpm, rpm, fraction and event on a rig of this scale of speed, and the speed difference, rpm,
         beyond which `cost_difference` counts; what good controllers stay below once the motors run."""
         unit = 100.0 * speed

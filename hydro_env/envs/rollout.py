@@ -7,16 +7,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import AnyArray, Bools, Floats, Integers, Singles
 from ..plant import Plant
 from .profiles import Profiles
 from .step_kernels import SIGNALS, STATE, TRUE, apply, observe, take_inputs, wind
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 #: observation (N, n) float32, true signals (N, TRUE), reward (N,), terminated (N,), truncated (N,)
-Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]
+Result = tuple[Singles, Floats, Floats, Bools, Bools]
 
 
 class Rollout:
@@ -30,7 +28,7 @@ class Rollout:
         self.period, self.width, self.threads = period, width, threads
         self.deviation, self.sensing = np.zeros((plant.num_rigs, 6)), sensing
         self.rows = np.arange(plant.num_rigs)
-        self.state: NDArray[Any] = np.zeros(plant.num_rigs, STATE)
+        self.state: AnyArray = np.zeros(plant.num_rigs, STATE)
         self.profiles = Profiles(plant.num_rigs)
         self._command, self._load = np.zeros((2, plant.num_rigs, 2))
         self.take(plant)
@@ -84,7 +82,7 @@ class Rollout:
         ended = np.zeros((2, n), np.bool_)
         return np.empty((n, self.width), np.float32), np.zeros((n, TRUE)), np.zeros(n), ended[0], ended[1]
 
-    def sense(self, rows: Rows, result: Result) -> None:
+    def sense(self, rows: Integers, result: Result) -> None:
         """Fills the result of some rows at their present step; of observations the newest frame."""
         take_inputs(rows, self.state, self.profiles.starts, self.profiles.levels, self.deviation)
         observe(rows, self.state, self.plant.memory, self._where, self.sensing, *result)

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env.arrays import Floats
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.base import Floats
 from hydro_env.diagnosis import diagnose
 from hydro_env.errors import InputError, check_known
 from hydro_env.experiments import close_loop_drives as drives

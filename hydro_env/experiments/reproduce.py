@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 from hydro_env.controllers.classical.pid import TABLE_III, Pid
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, beside_results, figure, legend, png

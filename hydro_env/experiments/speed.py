@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, Plant, load_model
 from hydro_env.units import RPM

@@ -4,11 +4,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 from nicegui.element import Element
-from numpy.typing import NDArray
 
+from hydro_env.arrays import Floats
 from hydro_env.lab.session import COLUMNS, SHOWN
 from hydro_env.lab.uploads import MAX_BYTES, YAML_ENDINGS
 from hydro_env.lab.worker import Seen
@@ -101,7 +100,7 @@ class Plots(ui.echart):
         past = seen.session.past
         self.draw(past[(len(past) - 1) % EVERY :: EVERY])
 
-    def draw(self, past: NDArray[np.float64]) -> None:
+    def draw(self, past: Floats) -> None:
         """Draws rows (n, len(COLUMNS))."""
         rows = past.round(2).tolist()
         end = rows[-1][0] if rows else SHOWN * 0.01

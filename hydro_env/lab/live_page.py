@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from fastapi import FastAPI
 from nicegui import ui
-from numpy.typing import NDArray
 
+from hydro_env.arrays import Floats
 from hydro_env.errors import InputError
 from hydro_env.lab.elements import EVERY, Plots
 from hydro_env.lab.page import PICTURE, section
@@ -72,7 +72,7 @@ class LivePage:
         ui.timer(2.0 * PICTURE, look)
 
 
-def _past(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _past(rows: Floats) -> Floats:
     """Rows of a log as the plots take them."""
     at = {name: rows[:, n] for n, name in enumerate(contract_columns())}
     at["difference_rpm"] = at["speed_1_rpm"] - at["speed_2_rpm"]

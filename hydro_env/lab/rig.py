@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hydro_env.envs.observation import FRAME, Floats, noise_levels, scales_on
+from hydro_env.arrays import AnyArray, Floats, Singles
+from hydro_env.envs.observation import FRAME, noise_levels, scales_on
 from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
 from hydro_env.plant import CATALOGUE, Plant, PlantModel, Scales, load_model, scales_of
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
@@ -63,7 +63,7 @@ class Reading:
     """A rig at one instant: what the sensors show, and the true signals (see `envs.step_kernels.COLUMNS`)."""
 
     #: (1, 9), as the environment gives it.
-    observation: NDArray[np.float32]
+    observation: Singles
     #: (2,), true.
     speed_rpm: Floats
     #: (2,), of the shafts since the start, rad.
@@ -140,7 +140,7 @@ class LiveRig:
         """Puts the rig to rest at time zero."""
         self.plant.reset()
         self.time = 0.0
-        self._state: NDArray[Any] = np.zeros(1, STATE)
+        self._state: AnyArray = np.zeros(1, STATE)
         self._noise = np.zeros((1, 6), np.float32)
 
     @property

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hydro_env.arrays import Floats
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.controllers import CONTROLLERS, make_controller
-from hydro_env.controllers.base import Floats
 from hydro_env.controllers.rollout import inform
 from hydro_env.errors import InputError
 from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES, LiveRig, Reach, Reading

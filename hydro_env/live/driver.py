@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env.arrays import Floats
 from hydro_env.controllers import Controller, make_controller
 from hydro_env.controllers.rollout import inform
-from hydro_env.envs.observation import FRAME, OBSERVATION, Floats, Measurements, encode
+from hydro_env.envs.observation import FRAME, OBSERVATION, Measurements, encode
 from hydro_env.errors import InputError
 from hydro_env.live.link import Link, Sample
 from hydro_env.plant import Plant, PlantModel, scales_of

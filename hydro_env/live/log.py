@@ -10,7 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 from hydro_env.files import to_json
 from hydro_env.measured.mapping import contract_columns
 from hydro_env.reading import parse_json

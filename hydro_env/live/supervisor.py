@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 from hydro_env.errors import InputError, shown
 from hydro_env.live.link import Link, Sample
 

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Floats
 from .catalogue import CATALOGUE
 from .catalogue.effect import arguments
 from .catalogue.losses import FAMILY
 from .model import PlantModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,16 +21,16 @@ class MotorMap:
     are those of motoring, in [0, 1] where the motor drives its load and NaN elsewhere.
     """
 
-    pressure: Array
-    speed: Array
-    flow: Array
-    torque: Array
-    loss: Array
-    volumetric: Array
-    hydromechanical: Array
+    pressure: Floats
+    speed: Floats
+    flow: Floats
+    torque: Floats
+    loss: Floats
+    volumetric: Floats
+    hydromechanical: Floats
 
     @property
-    def total(self) -> Array:
+    def total(self) -> Floats:
         """Volumetric times hydromechanical efficiency."""
         return self.volumetric * self.hydromechanical
 

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike
 
+from ..arrays import Bools, Floats, Integers
 from ..errors import InputError, check_known
 from .catalogue import CATALOGUE
 from .catalogue.effect import parameter_of
@@ -33,7 +34,6 @@ USUAL_DELAY = 0.05
 #: Delay from which on no command would arrive within any log or episode, s.
 MAX_DELAY = 1e5
 
-Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
 
 #: Longest part of a period between two points of the grid on which its `peak_difference` is taken, s.
@@ -161,11 +161,11 @@ class Plant:
         self._ring, self._lasted, self._head = ring, lasted, slots - 1
 
     # --- rows of the memory ---------------------------------------------------------------------------------------
-    def _by_channel(self, cells: Array) -> Array:
+    def _by_channel(self, cells: Floats) -> Floats:
         """The memory or the delay line, (blocks, rows, 2 * half), with an axis for the channel: (blocks, rows, 2, half)."""
         return cells.reshape(len(cells), -1, 2, self.kernel.half)
 
-    def get(self, name: str) -> Array:
+    def get(self, name: str) -> Floats:
         """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
         row = self._by_channel(self.memory)[:, self.row_of(name)]
         return row.swapaxes(1, 2).reshape(-1, 2)[: self.num_rigs].astype(np.float64)
@@ -236,9 +236,7 @@ class Plant:
         nothing = self._empty[:, 0]
         self.run_into(self._empty, nothing, nothing, 1.0)
 
-    def take_state(
-        self, other: "Plant", rows: NDArray[np.int64] | None = None, parameters: bool = False
-    ) -> None:
+    def take_state(self, other: "Plant", rows: Integers | None = None, parameters: bool = False) -> None:
         """Puts all rigs into the state of another plant's, which may have another tolerance and dtype; rig i into that of the
         other's rig `rows[i]`, where given. `parameters`: gives them their parameters as well.
 
@@ -262,7 +260,7 @@ class Plant:
                 part = other._by_channel(theirs)[from_block, :, :, from_lane]
                 self._by_channel(mine)[block, :, :, lane] = part
 
-    def select(self, rows: NDArray[np.int64]) -> "Plant":
+    def select(self, rows: Integers) -> "Plant":
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""
         kernel = self.kernel
         some = Plant(
@@ -272,7 +270,7 @@ class Plant:
         some.take_state(self, rows, parameters=True)
         return some
 
-    def _lanes(self, rows: ArrayLike | slice | None = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _lanes(self, rows: ArrayLike | slice | None = None) -> tuple[Integers, Integers]:
         """Block and lane of each rig, or of `rows` (indices, mask or slice)."""
         rigs = np.arange(self.num_rigs)
         if rows is not None:
@@ -290,11 +288,11 @@ class Plant:
             raise ValueError("a command or load is not finite")
         self.hold(command, load, period)
 
-    def hold(self, command_V: Array, load_Nm: Array, period: float) -> None:
+    def hold(self, command_V: Floats, load_Nm: Floats, period: float) -> None:
         """`step` without these checks: finite float64 arrays (num_rigs, 2)."""
         self.run_into(self._empty, command_V[None], load_Nm[None], period, points=grid_points(period))
 
-    def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, period: float) -> None:
+    def hold_rigs(self, rigs: slice, command_V: Floats, load_Nm: Floats, period: float) -> None:
         """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. `make_room`
         was called before; the period is over when all rigs have been held and `turn` was called."""
         half = self.kernel.half
@@ -310,9 +308,9 @@ class Plant:
         self._head = (self._head + rows) % self._ring.shape[1]
 
     def run(
-        self, command_V: Array, load_Nm: Array | None, period: float, record: Sequence[str] = ("speed",),
+        self, command_V: Floats, load_Nm: Floats | None, period: float, record: Sequence[str] = ("speed",),
         every: int = 1,
-    ) -> dict[str, Array]:  # fmt: skip
+    ) -> dict[str, Floats]:  # fmt: skip
         """Runs through all rows of a command sequence in one call.
 
         `command_V`: (T, 2) for all rigs or (T, num_rigs, 2); `load_Nm` likewise, (1, 2), or None for no load. Returns
@@ -329,7 +327,7 @@ class Plant:
         return dict(zip(record, out, strict=True))
 
     def run_into(
-        self, out: Array, command_V: Array, load_Nm: Array, period: float, rows: NDArray[np.int64] = _NO_RECORD,
+        self, out: Floats, command_V: Floats, load_Nm: Floats, period: float, rows: Integers = _NO_RECORD,
         every: int = 1, points: int = 0,
     ) -> None:  # fmt: skip
         """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
@@ -346,7 +344,7 @@ class Plant:
         self.turn(command_V.shape[0])
 
     @property
-    def delay(self) -> Array:
+    def delay(self) -> Floats:
         """By how much the commands are late, (num_rigs, 2), s."""
         return np.sum([np.zeros((self.num_rigs, 2)), *map(self.get, self.delays)], axis=0)
 
@@ -356,24 +354,24 @@ class Plant:
         return any(CATALOGUE[name].reads("angle") for name in self.effects)
 
     # --- signals --------------------------------------------------------------------------------------------------
-    current: Array = _signal("current", "Coil currents, A.")
-    spool: Array = _signal("spool", "Spool positions, m.")
-    spool_speed: Array = _signal("spool_speed", "Spool speeds, m/s.")
-    pressure: Array = _signal("pressure", "Pressure differences over the motors, Pa.")
-    speed: Array = _signal("speed", "Shaft speeds, rad/s.")
-    measured_speed: Array = _signal(
+    current: Floats = _signal("current", "Coil currents, A.")
+    spool: Floats = _signal("spool", "Spool positions, m.")
+    spool_speed: Floats = _signal("spool_speed", "Spool speeds, m/s.")
+    pressure: Floats = _signal("pressure", "Pressure differences over the motors, Pa.")
+    speed: Floats = _signal("speed", "Shaft speeds, rad/s.")
+    measured_speed: Floats = _signal(
         "measured_speed", "Shaft speeds as the sensors show them (lag, gain, offset; no noise), rad/s."
     )
-    angle: Array = _signal("angle", "Shaft angles since the reset, rad.")
-    flow: Array = _signal("flow", "Flows through the valves, m3/s.")
+    angle: Floats = _signal("angle", "Shaft angles since the reset, rad.")
+    flow: Floats = _signal("flow", "Flows through the valves, m3/s.")
 
     @property
-    def time(self) -> Array:
+    def time(self) -> Floats:
         """Time since the reset, s, (num_rigs,)."""
         return self.get("time")[:, 0]
 
     @property
-    def diverged(self) -> NDArray[np.bool_]:
+    def diverged(self) -> Bools:
         """Rigs that diverged numerically since their reset, (num_rigs,)."""
         marked = self.get("diverged") > 0.0
         return marked[:, 0] | marked[:, 1]
@@ -400,7 +398,7 @@ class Plant:
         return copy.deepcopy(self)
 
 
-def _sequence(values: Array, num_rigs: int, name: str) -> Array:
+def _sequence(values: Floats, num_rigs: int, name: str) -> Floats:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim == 2:
         array = array[:, None, :]
@@ -412,10 +410,10 @@ def _sequence(values: Array, num_rigs: int, name: str) -> Array:
 
 
 def simulate(
-    model: str | Path | PlantModel, command_V: Array, load_Nm: Array | None, period: float, *,
+    model: str | Path | PlantModel, command_V: Floats, load_Nm: Floats | None, period: float, *,
     values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1, record: Sequence[str] = ("speed",),
     every: int = 1, **options: Any,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Floats]:  # fmt: skip
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both

@@ -26,12 +26,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from ..arrays import Floats
 from ..errors import InputError, check_known
 from ..files import write_json, write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
-from .manoeuvres import ROUND, RUNS, Array, plans_of
+from .manoeuvres import ROUND, RUNS, plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
@@ -108,7 +109,7 @@ class Practice:
     (the content of truth.json) say what the difference is.
     """
 
-    logs: Mapping[str, Mapping[str, Array]]
+    logs: Mapping[str, Mapping[str, Floats]]
     given: PlantModel
     true: PlantModel
     constants: Constants | None
@@ -184,7 +185,7 @@ def make_practice(
     return Practice(logs, given, true, constants, hidden, truth)
 
 
-def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Array]:
+def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Floats]:
     """The log of commands from a file. The same commands have the same noise, others have other noise."""
     assert own.play is not None
     channels = plans_of(own.play, given.pair("u_rated"), recorder.period)

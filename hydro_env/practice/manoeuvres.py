@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Bools, Floats
 from ..errors import InputError, located
 from ..measured.formats import read_table
 from ..waveforms import triangle
 
-Array = NDArray[np.float64]
 Stream = np.random.Generator
 
 #: Length of a round, and the longest log that is played from a table, s.
@@ -38,9 +37,9 @@ class Plan(NamedTuple):
     """What one channel is asked to do: `value` is a set-point in rpm where `closed`, else a fraction of the rated command;
     `load` is in N m. Each (T,), one row for a control period."""
 
-    value: Array
-    closed: NDArray[np.bool_]
-    load: Array
+    value: Floats
+    closed: Bools
+    load: Floats
 
     @staticmethod
     def join(parts: "Iterable[Plan]") -> "Plan":
@@ -62,24 +61,24 @@ class Plan(NamedTuple):
 
 
 # --- profiles: arrays over a number of periods ---------------------------------------------------------------------------
-def _hold(levels: Sequence[float] | Array, rows: int) -> Array:
+def _hold(levels: Sequence[float] | Floats, rows: int) -> Floats:
     """Levels of equal length, which fill the rows."""
     at = np.arange(rows) * len(levels) // rows
     return np.asarray(levels, dtype=float)[at]
 
 
-def _triangle(middle: float, amplitude: float, cycles: float, rows: int) -> Array:
+def _triangle(middle: float, amplitude: float, cycles: float, rows: int) -> Floats:
     return middle + amplitude * triangle(np.arange(rows) * cycles / rows)
 
 
-def _sweep(middle: float, amplitude: float, low: float, high: float, rows: int, dt: float) -> Array:
+def _sweep(middle: float, amplitude: float, low: float, high: float, rows: int, dt: float) -> Floats:
     """Sine of rising frequency (Hz)."""
     t, duration = np.arange(rows) * dt, rows * dt
     phase = 2.0 * math.pi * low * duration / math.log(high / low) * (np.power(high / low, t / duration) - 1.0)
     return middle + amplitude * np.sin(phase)
 
 
-def _open(value: Array, load: Array | float = 0.0, *, closed: bool = False) -> Plan:
+def _open(value: Floats, load: Floats | float = 0.0, *, closed: bool = False) -> Plan:
     return Plan(value, np.full(value.size, closed), np.broadcast_to(load, value.shape))
 
 

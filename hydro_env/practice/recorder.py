@@ -11,15 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Bools, Floats
 from ..errors import InputError
 from ..measured.mapping import contract_columns
 from ..plant import Plant, PlantModel, Scales, scales_of
 from ..plant.scales import PAPER, rated, swing
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
-from .manoeuvres import Array, Plan, plans
+from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
 
@@ -90,10 +90,10 @@ class _CatalogueRig:
         lines = ("pressure_a", "pressure_b")
         self.names = [*(s.signal for s in SENSORS.values() if s.signal not in lines), "mean_line_pressure"]
 
-    def signals(self) -> dict[str, Array]:
+    def signals(self) -> dict[str, Floats]:
         return {name: self.plant.get(name)[0] for name in self.names}
 
-    def advance(self, command_V: Array, load_Nm: Array, duration: float, samples: int) -> dict[str, Array]:
+    def advance(self, command_V: Floats, load_Nm: Floats, duration: float, samples: int) -> dict[str, Floats]:
         command, load = np.tile(command_V, (samples, 1)), np.tile(load_Nm, (samples, 1))
         rows = self.plant.run(command, load, duration / samples, self.names)
         if lost := self.plant.lost:
@@ -102,7 +102,7 @@ class _CatalogueRig:
         return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
 
 
-def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
+def _with_lines(signals: dict[str, Floats], level: Floats) -> dict[str, Floats]:
     """The signals with the pressures of both lines above the tank's, Pa. The simulator knows no cavitation: where a line would be
     below vacuum it does not know what a sensor shows, NaN."""
     mean, half = level + signals["mean_line_pressure"], 0.5 * signals["pressure"]
@@ -167,7 +167,7 @@ class _SpeedLoop:
             self.reset_time[c] = min(max(motor.decay / motor.swing, 0.02), 0.5)
             self.gain[c] = self.slope[c] * integral * self.reset_time[c]
 
-    def __call__(self, setpoint: Array, speed: Array) -> Array:
+    def __call__(self, setpoint: Floats, speed: Floats) -> Floats:
         error = setpoint - speed
         wanted = self.gain * (error + self.sum / self.reset_time)
         wanted = wanted + self.slope * setpoint + self.edge * np.sign(setpoint)
@@ -198,7 +198,7 @@ class Recorder:
     rate: float
     duration: float
 
-    def log(self, run: str, seeds: np.random.SeedSequence) -> dict[str, Array]:
+    def log(self, run: str, seeds: np.random.SeedSequence) -> dict[str, Floats]:
         """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
         plan_seed, noise_seed = seeds.spawn(2)
         steps, scales = max(1, round(self.duration / self.period)), scales_of(self.given)
@@ -214,7 +214,7 @@ class Recorder:
         """Time between two commands, s."""
         return max(CONTROL_PERIOD, 1.0 / self.rate)
 
-    def played(self, channels: Sequence[Plan], noise_seed: np.random.SeedSequence) -> dict[str, Array]:
+    def played(self, channels: Sequence[Plan], noise_seed: np.random.SeedSequence) -> dict[str, Floats]:
         """Drives the plan of each channel and returns the log's columns by header name."""
         period = self.period
         samples = round(period * self.rate)
@@ -231,7 +231,7 @@ class Recorder:
             for n, s in streams.items()
         }
         command, shown = self._drive(value, closed, load, errors["speed"][::samples, :], period, samples)
-        rows: dict[str, Array] = {
+        rows: dict[str, Floats] = {
             "command": np.repeat(command, samples, axis=0),
             "load": np.repeat(load, samples, axis=0),
             **{n: self._read(of[n], shown[n], errors[n]) for n in SENSORS},
@@ -244,7 +244,7 @@ class Recorder:
         kept = {n: column.unit for n, column in COLUMNS.items() if n in rows and n in asked}
         return columns | {f"{n}_{c + 1}_{unit}": rows[n][:, c] for c in (0, 1) for n, unit in kept.items()}
 
-    def _level(self) -> Array:
+    def _level(self) -> Floats:
         """What the simulator's mean line pressure is above, (2,) in Pa: half the supply's where the model has none."""
         without = np.isinf(self.true.pair("pressure_dependent_flow.supply_pressure"))
         supply = np.array(self.true.pair(f"{OF_BOTH_LINES[-1]}.supply_pressure"))
@@ -254,8 +254,8 @@ class Recorder:
         return np.where(without, 0.5 * supply, 0.0)
 
     def _drive(
-        self, value: Array, closed: NDArray[np.bool_], load: Array, speed_error: Array, period: float, samples: int
-    ) -> tuple[Array, dict[str, Array]]:  # fmt: skip
+        self, value: Floats, closed: Bools, load: Floats, speed_error: Floats, period: float, samples: int
+    ) -> tuple[Floats, dict[str, Floats]]:  # fmt: skip
         """Command (steps, 2) in V and what each sensor sees, (steps * samples, 2) in SI without noise."""
         steps = len(value)
         loop, most = _SpeedLoop(self.given, period), np.array(self.given.pair("u_rated"))
@@ -281,12 +281,12 @@ class Recorder:
             now = {signal: values[-1] for signal, values in part.items()}
         return command, shown
 
-    def _read(self, sensor: Column, shown: Array, error: Array) -> Array:
+    def _read(self, sensor: Column, shown: Floats, error: Floats) -> Floats:
         raw = shown / sensor.size + error
         return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
 
 
-def log_text(columns: Mapping[str, Array], kinds: Mapping[str, Column] = COLUMNS) -> str:
+def log_text(columns: Mapping[str, Floats], kinds: Mapping[str, Column] = COLUMNS) -> str:
     """A rig log as CSV text; `kinds` of columns say their decimals."""
     known, buffer = contract_columns(), io.StringIO()
     np.savetxt(

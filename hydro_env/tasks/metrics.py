@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Bools, Floats
 from ..errors import check_known
-
-Floats = NDArray[np.float64]
 
 #: The motors of the paper's rig count as in step while their speeds differ by no more than this, rpm.
 SETTLED_RPM = 10.0
@@ -57,7 +55,7 @@ class Trace:
         return self.speed_rpm[..., 0] - self.speed_rpm[..., 1]
 
     @cached_property
-    def longest_apart(self) -> tuple[Floats, NDArray[np.bool_]]:
+    def longest_apart(self) -> tuple[Floats, Bools]:
         """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
         apart = np.abs(self.difference_rpm) > self.settled_rpm
         enough = max(1, round(SETTLED_S / self.period))  # rows together that end a time out of step
@@ -84,7 +82,7 @@ class Metric:
     more: bool = False
 
 
-def never_settled(trace: Trace) -> NDArray[np.bool_]:
+def never_settled(trace: Trace) -> Bools:
     """(N,), whether the longest time out of step was still running when the episode ended: `sync_settling_time_s` is then only a
     lower bound, set by the length of the episode."""
     return trace.longest_apart[1]

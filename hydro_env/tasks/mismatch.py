@@ -23,14 +23,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
+from ..arrays import AnyArray, Floats, Integers
 from ..errors import InputError, InputWarning, check_known, located, shown, suggestion
 from ..plant import CATALOGUE, PAPER, Parameter, PlantModel, parameter_of, scales_of
 from ..plant.model_files import values_set_by
 from ..reading import read_yaml, shipped_yaml
-from ..streams import Component, Floats, Streams
+from ..streams import Component, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked, known, two_numbers
 from .rigs import DERIVED, PACE, QUANTITIES, paced, rig_values
@@ -267,7 +267,7 @@ class Mismatch(FileTable):
             values |= paced(quantities[PACE], values, model)
         return Pairs(values, fault)
 
-    def _draw(self, streams: Streams, rows: NDArray[np.int64] | slice = slice(None)) -> dict[str, Floats]:
+    def _draw(self, streams: Streams, rows: Integers | slice = slice(None)) -> dict[str, Floats]:
         ranges = {**self.rig, **self.ranges}
         shares = streams.random((len(ranges), 2), rows)
         values: dict[str, Floats] = {}
@@ -275,7 +275,7 @@ class Mismatch(FileTable):
             values[name] = each.value(shares[:, column], values)
         return values
 
-    def _inside(self, values: Mapping[str, Floats], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _inside(self, values: Mapping[str, Floats], rows: Integers) -> AnyArray:
         """Those of some rows whose values all lie in the ranges that they are to leave."""
         for name, bounds in self._left.items():
             drawn = values[name][rows]

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats
 from ..plant import CATALOGUE, PARAMETERS, PlantModel, parameter_of
 from ..plant.scales import rated
 from ..reading import shipped_yaml
 from ..units import BAR, REVOLUTION, RPM
-
-Floats = NDArray[np.float64]
 
 PACE = "pace"
 #: What a rig is drawn by, and what it is.

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
+from ..arrays import Floats
 from ..errors import InputError, check_known, shown
 from ..plant import PAPER, Scales
-from ..streams import Component, Floats, Streams
+from ..streams import Component, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
 

@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.stats import spearmanr
 
+from hydro_env.arrays import Floats as Floats
+from hydro_env.arrays import Integers
 from hydro_env.errors import InputError
 from hydro_env.units import LPM
-
-Floats = NDArray[np.float64]
 
 #: Kinds of curve: flow that follows the signal, or internal leakage, which has a peak near the null.
 FLOW, LEAKAGE = "flow", "leakage"
@@ -228,7 +227,7 @@ def loop_of(curve: Curve, rows: list[Branch] | None = None) -> Loop:
     return Loop(kind, **sides, low=low, high=high, findings=tuple(notes))
 
 
-def _rows(branches: list[Branch]) -> NDArray[np.intp]:
+def _rows(branches: list[Branch]) -> Integers:
     return np.concatenate([np.arange(branch.start, branch.stop) for branch in branches])
 
 

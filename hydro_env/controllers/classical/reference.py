@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 
 
 class FirstOrder:

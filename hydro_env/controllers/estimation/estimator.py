@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import HAND, Bools, Floats
+from hydro_env.arrays import Bools, Floats
+from hydro_env.controllers.base import HAND
 from hydro_env.controllers.estimation.motor_filter import MotorFilter, MotorFilterSettings
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING, NOMINAL, RATED_FLOW, Motor
 from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
@@ -115,7 +115,7 @@ class Estimator:
         self.delay = DelayEstimator(settings.delay, seen.command, self.flow)
 
     def update(
-        self, seen: Measurements, sent: Floats, steady: NDArray[np.bool_], flowing: Floats, sweep: float
+        self, seen: Measurements, sent: Floats, steady: Bools, flowing: Floats, sweep: float
     ) -> Measurements:
         """Takes in a sample; returns it with the speeds to go by.
 
@@ -142,7 +142,7 @@ class Estimator:
     def _measured_flow(self, seen: Measurements) -> Floats:
         return self.motor.flow(seen.speed, seen.pressure, (seen.pressure - self._pressure) / self.period)
 
-    def _supervise(self, seen: Measurements, steady: NDArray[np.bool_]) -> Measurements:
+    def _supervise(self, seen: Measurements, steady: Bools) -> Measurements:
         """The measurements with speeds to go by."""
         passed = RATED_FLOW * self.valves.expected_flow(self.spool.position)
         speed = self.sensors.update(seen, self.motors.state.torque, passed, steady)

@@ -9,9 +9,9 @@ is held for unknown, of both motors together or against each other, and found ag
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import HAND, TUNED, Floats
+from hydro_env.arrays import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE, Motor
 from hydro_env.jit import compiled
 
@@ -56,9 +56,7 @@ class MotorFilter:
         covariance[:] = SPEED_NOISE**2 * np.diag([1.0, 1.0, 0.0, 0.0])
         self.state = MotorState(np.array(speed, float), torque, miss, covariance, np.array(pressure, float))
 
-    def update(
-        self, speed: Floats, pressure: Floats, unsampled: Floats, noise: Floats, blind: NDArray[np.bool_]
-    ) -> None:
+    def update(self, speed: Floats, pressure: Floats, unsampled: Floats, noise: Floats, blind: Bools) -> None:
         """Takes in the next readings (num_rigs, 2), rad/s and Pa.
 
         `unsampled`: what the mean torque of the period is beyond the mean of its two readings, by the model, N m. `noise`:

@@ -8,13 +8,11 @@ from math import inf, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.arrays import Floats
 from hydro_env.plant import PARAMETERS
 from hydro_env.plant.sensors import NOISE
 from hydro_env.units import BAR, RPM
-
-Floats = NDArray[np.float64]
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 #: Spool travel at the rated command, m.

@@ -12,9 +12,9 @@ from math import inf
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import HAND, TUNED, Floats, Rows
+from hydro_env.arrays import Bools, Floats
+from hydro_env.controllers.base import HAND, TUNED, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING
 from hydro_env.controllers.estimation.spool import SpoolModel
 from hydro_env.jit import compiled
@@ -45,7 +45,7 @@ class ValveState(NamedTuple):
 
     gain: Floats
     edge: Floats
-    unknown: NDArray[np.bool_]  # no flow was seen at this edge yet
+    unknown: Bools  # no flow was seen at this edge yet
     passed: Floats  # an unknown edge lies beyond this position
     gain_variance: Floats
     edge_variance: Floats

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.learned.policy_interface import Floats, Policy, make_interface
+from hydro_env.arrays import AnyArray, Reals
+from hydro_env.controllers.learned.policy_interface import Policy, make_interface
 from hydro_env.errors import InputError, check_known
 from hydro_env.reading import check_file, parse_json
 
@@ -34,25 +34,25 @@ MAX_BYTES = 2**26
 #: sums stay finite in single precision.
 MAX_LAYERS, MAX_UNITS, MAX_WEIGHT = 32, 4096, 1e6
 
-ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
+ACTIVATIONS: dict[str, Callable[[Reals], Reals]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
 }
-SQUASHES: dict[str, Callable[[Floats], Floats]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+SQUASHES: dict[str, Callable[[Reals], Reals]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
 
 class Dense(NamedTuple):
     """A fully connected layer: weight (outputs, inputs), bias (outputs,)."""
 
-    weight: Floats
-    bias: Floats
+    weight: Reals
+    bias: Reals
 
     @property
     def outputs(self) -> int:
         return int(self.weight.shape[0])
 
-    def __call__(self, inputs: Floats) -> Floats:
+    def __call__(self, inputs: Reals) -> Reals:
         return _product(inputs, self.weight) + self.bias
 
 
@@ -60,28 +60,28 @@ class Gru(NamedTuple):
     """A gated recurrent unit, see the module's text: weight (3 H, inputs) and bias (3 H,) of the inputs, `back` (3 H, H) and
     `back_bias` (3 H,) of the state."""
 
-    weight: Floats
-    bias: Floats
-    back: Floats
-    back_bias: Floats
+    weight: Reals
+    bias: Reals
+    back: Reals
+    back_bias: Reals
 
     @property
     def outputs(self) -> int:
         return int(self.back.shape[1])
 
-    def __call__(self, inputs: Floats, state: Floats) -> Floats:
+    def __call__(self, inputs: Reals, state: Reals) -> Reals:
         """The next state (..., H) from inputs and state."""
         given = np.split(_product(inputs, self.weight) + self.bias, 3, axis=-1)
         own = np.split(_product(state, self.back) + self.back_bias, 3, axis=-1)
         reset, keep = (_logistic(a + b) for a, b in zip(given[:2], own[:2], strict=True))
         new = np.tanh(given[2] + reset * own[2])
-        following: Floats = new + keep * (state - new)
+        following: Reals = new + keep * (state - new)
         return following
 
 
-def _logistic(x: Floats) -> Floats:
+def _logistic(x: Reals) -> Reals:
     """1 / (1 + exp(-x)), in a form that does not overflow."""
-    value: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
+    value: Reals = 0.5 + 0.5 * np.tanh(0.5 * x)
     return value
 
 
@@ -101,12 +101,12 @@ class Network:
     def num_outputs(self) -> int:
         return self.layers[-1].outputs
 
-    def start(self, rows: int) -> list[Floats]:
+    def start(self, rows: int) -> list[Reals]:
         """States of the recurrent layers before the first input, (rows, H) each."""
         units = [layer for layer in self.layers if isinstance(layer, Gru)]
         return [np.zeros((rows, layer.outputs), layer.weight.dtype) for layer in units]
 
-    def __call__(self, inputs: Floats, states: list[Floats] | None = None) -> Floats:
+    def __call__(self, inputs: Reals, states: list[Reals] | None = None) -> Reals:
         """Outputs (..., num_outputs) in [-1, 1] for inputs (..., num_inputs), in the precision of the weights. `states` are
         those of the recurrent layers, (..., H) each, as `start` makes them; they are replaced."""
         hidden = np.asarray(inputs, dtype=self.layers[0].weight.dtype)
@@ -128,12 +128,12 @@ class Network:
         return Network(layers, self.activation, self.squash)
 
 
-def _product(hidden: Floats, weight: Floats) -> Floats:
+def _product(hidden: Reals, weight: Reals) -> Reals:
     """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
     batch, and stiction turns a last bit into another trajectory.
     """
     # Named, as are those above, since local names become those of the exported Structured Text.
-    product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
+    product: Reals = (hidden[..., None, :] @ weight.T)[..., 0, :]
     return product
 
 
@@ -160,7 +160,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     return Network(_layers(path, arrays), metadata["activation"], metadata["squash"]), metadata
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path) -> dict[str, AnyArray]:
     """The arrays of an npz by name. Any error for a damaged file, one with pickled objects or too large a one."""
     with zipfile.ZipFile(path) as archive:  # which unpacks no more of an entry than its size says
         if sum(entry.file_size for entry in archive.infolist()) > MAX_BYTES:
@@ -169,7 +169,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: np.asarray(array) for name, array in arrays.items()}
 
 
-def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[Dense | Gru]:
+def _layers(path: Path, arrays: dict[str, AnyArray]) -> list[Dense | Gru]:
     count = sum(name.startswith("w") for name in arrays)
     kinds = ["wbvc" if f"v{n}" in arrays and n < count - 1 else "wb" for n in range(count)]
     names = [[f"{letter}{n}" for letter in kind] for n, kind in enumerate(kinds)]
@@ -184,7 +184,7 @@ def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[Dense | Gru]:
     return layers
 
 
-def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None) -> Dense | Gru:
+def _layer(path: Path, own: dict[str, AnyArray], before: Dense | Gru | None) -> Dense | Gru:
     """A layer of its arrays, by name. InputError unless their shapes fit and they hold numbers in single precision's reach."""
     for name, array in own.items():
         fits = array.dtype.kind == "f" and 0 < max(array.shape, default=0) <= MAX_UNITS
@@ -219,7 +219,7 @@ class NumpyPolicy(Policy):
         self.trained_period = _trained_period(self.metadata)
         self.reset(1, self.trained_period)
 
-    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+    def outputs(self, inputs: Reals, fresh: bool) -> Reals:
         if fresh:
             self.memory = self.network.start(len(inputs))
         return self.network(inputs, self.memory)

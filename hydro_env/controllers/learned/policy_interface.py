@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, StrictBool
 
+from hydro_env.arrays import Reals, Singles
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.observation import ERRORS, FRAME, with_errors
 from hydro_env.validation import Count, FileTable, Number, checked
-
-Floats = NDArray[np.floating[Any]]
 
 
 class InterfaceTable(FileTable):
@@ -64,24 +62,24 @@ class FramesInterface:
         """Arguments of an environment whose observations are the network's inputs and whose actions are its outputs."""
         return {"history": self.frames, "increment": self.increment or None, "errors": self.errors}
 
-    def start(self, observation: Floats) -> Floats:
+    def start(self, observation: Reals) -> Reals:
         """Inputs at the first observation of all rigs; forgets everything before."""
         self.seen = np.tile(self._newest(observation), (1, self.frames))
         return self._inputs()
 
-    def see(self, observation: Floats) -> Floats:
+    def see(self, observation: Reals) -> Reals:
         """Inputs at the next observation of all rigs, a control period later."""
         self.seen = np.concatenate([self.seen[:, FRAME:], self._newest(observation)], axis=1)
         return self._inputs()
 
-    def _inputs(self) -> Floats:
+    def _inputs(self) -> Reals:
         return with_errors(self.seen) if self.errors else self.seen
 
-    def _newest(self, observation: Floats) -> NDArray[np.float32]:
+    def _newest(self, observation: Reals) -> Singles:
         """The newest frame, whatever history the environment adds."""
         return np.asarray(observation, dtype=np.float32)[:, -FRAME:]
 
-    def command(self, outputs: Floats) -> Floats:
+    def command(self, outputs: Reals) -> Reals:
         """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
         outputs = np.clip(outputs, -1.0, 1.0)
         return np.clip(self.seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs
@@ -105,12 +103,12 @@ class Policy:
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode; `control_period` in s."""
         self._fresh = True
-        self.memory: list[Floats] = []
+        self.memory: list[Reals] = []
         self._every = max(1, round((self.trained_period or control_period) / control_period))
         self.guard = InputGuard(int(num_rigs), control_period)
 
     @guarded
-    def act(self, observation: Floats) -> Floats:
+    def act(self, observation: Reals) -> Reals:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         if self._fresh:
             self._held = self.interface.command(self.outputs(self.interface.start(observation), True))
@@ -129,6 +127,6 @@ class Policy:
         self._held = np.where(due, command, self._held)
         return self._held
 
-    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+    def outputs(self, inputs: Reals, fresh: bool) -> Reals:
         """What the network gives for its inputs, which are `fresh` where an episode begins."""
         raise NotImplementedError

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.controllers.learned.policy_interface import Floats, FramesInterface, Policy
+from hydro_env.arrays import Reals
+from hydro_env.controllers.learned.policy_interface import FramesInterface, Policy
 from hydro_env.envs.batch import INCREMENT
 from hydro_env.envs.observation import ERRORS, FRAME
 from hydro_env.errors import InputError, InputWarning
@@ -57,7 +58,7 @@ class Sb3Policy(Policy):
                 raise InputError(said)
             warnings.warn(f"{said}. Taken as commands", InputWarning, stacklevel=2)
 
-    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+    def outputs(self, inputs: Reals, fresh: bool) -> Reals:
         state = None if fresh else self._state
         begun = np.full(len(inputs), fresh)
         action, self._state = self._model.predict(inputs, state, begun, deterministic=True)

@@ -8,9 +8,9 @@ recognised, so that it can be answered without delay.
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import TUNED, Bools, Floats
+from hydro_env.arrays import Bools, Floats, Integers
+from hydro_env.controllers.base import TUNED
 from hydro_env.controllers.estimation.estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import NOMINAL, RATED_FLOW, TUNED_PERIOD, Motor
@@ -69,7 +69,7 @@ class FeedbackState(NamedTuple):
     behind: Floats
     short: Floats
     sudden: Floats
-    pause: NDArray[np.int64]
+    pause: Integers
 
 
 class Feedback:
@@ -105,7 +105,7 @@ class Feedback:
         self._wanted = np.zeros((MAX_DELAY + 1, num_rigs, 2))
 
     def update(
-        self, speed: Floats, motors: MotorState, noise: Floats, delay: NDArray[np.int64], wanted: Floats,
+        self, speed: Floats, motors: MotorState, noise: Floats, delay: Integers, wanted: Floats,
         reference: ReferenceState, probing: Bools,
     ) -> None:  # fmt: skip
         """Asks for flow.

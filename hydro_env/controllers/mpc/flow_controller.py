@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD, Motor
 from hydro_env.controllers.input_shaping import InputShaper

@@ -13,10 +13,10 @@ state bit for bit, as the noise is in the sensors alone.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.arrays import Floats, Integers
+from hydro_env.controllers.base import Controller, Gain, Measurements
 from hydro_env.controllers.linear_channel import linear_rates
 from hydro_env.controllers.mpc.shooting import END, HORIZON, HUBER, MIN_DAMPING, SAMPLES, Task, cost, improve
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
@@ -100,7 +100,7 @@ class Oracle(Controller):
         self._plan[:, :-1] = self._plan[:, 1:].copy()
         return sent
 
-    def _search(self, turns: NDArray[np.int64], ahead: Floats, load: Floats) -> None:
+    def _search(self, turns: Integers, ahead: Floats, load: Floats) -> None:
         """Improves every plan for its `turns` (N,); one that would still let the motors fall apart is restarted, for
         longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
         """
@@ -124,7 +124,7 @@ class Oracle(Controller):
         self._plan = found
 
     def _descend(
-        self, rows: NDArray[np.int64], turns: int, start: Floats, task: Task, load: Floats
+        self, rows: Integers, turns: int, start: Floats, task: Task, load: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
         instants, after at most `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not
@@ -164,7 +164,7 @@ class Oracle(Controller):
         return best, lowest, motion[0][SAMPLES::SAMPLES].copy()
 
 
-def _copies(plant: Plant, rows: NDArray[np.int64], tolerance: float) -> Plant:
+def _copies(plant: Plant, rows: Integers, tolerance: float) -> Plant:
     """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
     tolerance = max(tolerance, plant.tolerance)
     copies = Plant(plant.model, len(rows), effects=plant.effects, tolerance=tolerance, dtype=np.float32)

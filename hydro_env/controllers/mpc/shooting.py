@@ -17,9 +17,8 @@ A row of a batch gets bit for bit what it would get alone.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.arrays import Floats, Integers
 from hydro_env.controllers.mpc.planner import CLOSED, solve_positive_definite
 from hydro_env.jit import compiled
 
@@ -63,7 +62,7 @@ class Task(NamedTuple):
     stops: Floats
     huber_scale: Floats
 
-    def of(self, rows: NDArray[np.int64]) -> "Task":
+    def of(self, rows: Integers) -> "Task":
         """That of some rigs."""
         return Task(*(each[rows] for each in self))
 

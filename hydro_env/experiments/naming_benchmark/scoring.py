@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Floats
 from ...errors import InputError
 from ...plant import CATALOGUE, load_model, simulate
 from ...reading import read_json
@@ -133,7 +133,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _median(values: NDArray[np.float64]) -> dict[str, Any] | None:
+def _median(values: Floats) -> dict[str, Any] | None:
     if not len(values):
         return None
     rng = np.random.default_rng(0)

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from ...arrays import Floats
 from ...errors import InputError
 from ...files import write_json, write_text
 from ...measured.formats import read_table
@@ -35,8 +35,6 @@ from ...plant.sensors import NOISE
 from ...practice.generate import make_practice
 from ...practice.recorder import log_text
 from ...reading import read_json
-
-Array = NDArray[np.float64]
 
 SET_SCHEMA = "hydro_env/naming_set/1"
 RIG_SCHEMA = "hydro_env/naming_rig/1"
@@ -186,7 +184,7 @@ def _read(path: Path, what: str, schema: str, key: str) -> dict[str, Any]:
     return data
 
 
-def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
+def columns_of(path: Path, names: Sequence[str]) -> Floats:
     """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no finite number."""
     found = read_table(path, lambda header: names)
     values = np.column_stack([found.columns[name] for name in names])
@@ -195,7 +193,7 @@ def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
     return values
 
 
-def read_commands(rig: Path) -> tuple[Array, Array, Array, float]:
+def read_commands(rig: Path) -> tuple[Floats, Floats, Floats, float]:
     """commands.csv of a rig's folder: time (T,), s, commands (T, 2), V, loads (T, 2), N m, and the period, s."""
     names = ("time_s", "command_1_V", "command_2_V", "load_1_Nm", "load_2_Nm")
     long = columns_of(rig / "commands.csv", names)

@@ -26,9 +26,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hydro_env.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -38,20 +37,20 @@ class Rosenbrock:
     """
 
     gamma: float
-    alpha: Array
-    Gamma: Array
-    b: Array
+    alpha: Floats
+    Gamma: Floats
+    b: Floats
 
     @property
-    def a(self) -> Array:
+    def a(self) -> Floats:
         return self.alpha @ np.linalg.inv(self.Gamma)
 
     @property
-    def c(self) -> Array:
+    def c(self) -> Floats:
         return np.eye(len(self.b)) / self.gamma - np.linalg.inv(self.Gamma)
 
     @property
-    def m(self) -> Array:
+    def m(self) -> Floats:
         return self.b @ np.linalg.inv(self.Gamma)
 
 
@@ -121,7 +120,7 @@ class Control:
 CONTROL = Control()
 
 
-def integral_coefficients(method: Rosenbrock) -> tuple[Array, Array]:
+def integral_coefficients(method: Rosenbrock) -> tuple[Floats, Floats]:
     """What the method makes of a state whose rate is another state v, in closed form.
 
     Such a state needs no stages of its own: at stage i (row 3: at the end of the step) it is

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import odeint, solve_ivp
 
+from ...arrays import Floats
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
 from ...plant.model import PlantModel
@@ -16,8 +17,6 @@ from ...plant.model_files import load_model
 from ...plant.parameters import PARAMETERS
 from .equations import outputs, rates
 from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, SAME, STOPS, Constants, checked
-
-Array = NDArray[np.float64]
 
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.
 FORMS = ("same", "different")
@@ -88,7 +87,7 @@ class Group:
         self.scales = np.array(scales)
         self.state = np.zeros(len(scales))
 
-    def integrate(self, times: Array, method: str, tolerance: float) -> Array:
+    def integrate(self, times: Floats, method: str, tolerance: float) -> Floats:
         """States at `times` (the first is now), (len(times), states); the last becomes the present state."""
         limits = {"rtol": tolerance, "atol": tolerance * self.scales}
         rows = None
@@ -145,7 +144,7 @@ class ReferenceRig:
         # (when, voltage) on its way, by channel
         self._coming: tuple[list[tuple[float, float]], ...] = ([], [])
 
-    def signals(self) -> dict[str, Array]:
+    def signals(self) -> dict[str, Floats]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
         out = np.empty((len(REFERENCE_SIGNALS), 1, 2))
         for group in self._groups:
@@ -154,7 +153,7 @@ class ReferenceRig:
 
     def advance(
         self, command_V: ArrayLike, load_Nm: ArrayLike, duration: float, samples: int = 1
-    ) -> dict[str, Array]:
+    ) -> dict[str, Floats]:
         """Holds commands and loads, each (2,), over `duration` s.
 
         Returns `REFERENCE_SIGNALS`, each (samples, 2), at `samples` evenly spaced instants of which the last is the end.
@@ -175,7 +174,7 @@ class ReferenceRig:
         self.time = end
         return dict(zip(REFERENCE_SIGNALS, out, strict=True))
 
-    def _run(self, group: Group, start: float, end: float, instants: Array, out: Array) -> None:
+    def _run(self, group: Group, start: float, end: float, instants: Floats, out: Floats) -> None:
         now = start
         while now < end - _INSTANT:
             until = end
@@ -194,7 +193,7 @@ class ReferenceRig:
             now = until
 
     @staticmethod
-    def _store(group: Group, states: Array, out: Array) -> None:
+    def _store(group: Group, states: Floats, out: Floats) -> None:
         """Writes the signals of a group's channels, an instant for each of the `states`, to `out` (signals, instants, 2)."""
         states = np.ascontiguousarray(states)
         seen = np.empty((4, len(states), len(group.members)))
@@ -207,7 +206,7 @@ class ReferenceRig:
 def simulate_reference(
     model: str | Path | Mapping[str, Any] | PlantModel, command_V: ArrayLike, load_Nm: ArrayLike | None, period: float,
     **options: Any,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Floats]:  # fmt: skip
     """Simulates a command sequence from rest: `command_V` and `load_Nm` (T, 2), each row held over `period` s.
 
     Returns `REFERENCE_SIGNALS`, each (T, 2): row n at the instant at which command n begins to act. Options as in
