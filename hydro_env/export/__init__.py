@@ -10,5 +10,4 @@ c_code, structured_text  the program in C and in Structured Text
 templates        what is the same in all sources
 onnx             networks as ONNX graphs
 controllers      from a controller's name to files
-compiler         the C compiler of this machine
 """
