@@ -267,7 +267,7 @@ def test_bad_mappings(run: Run, tmp_path: Path, name: str) -> None:
 
 
 def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hydro_env.practice import command as hide
+    from hydro_env.practice import generate as hide
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -279,7 +279,7 @@ def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_missing_extra_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hydro_env.practice import command as hide
+    from hydro_env.practice import generate as hide
 
     def missing(*_: object, **__: object) -> None:
         raise ModuleNotFoundError("No module named 'plotly.graph_objects'", name="plotly.graph_objects")
@@ -291,7 +291,7 @@ def test_missing_extra_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_mistake_in_the_program_is_not_hidden(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hydro_env.practice import command as hide
+    from hydro_env.practice import generate as hide
 
     def wrong(*_: object, **__: object) -> None:
         raise ZeroDivisionError
@@ -302,7 +302,7 @@ def test_a_mistake_in_the_program_is_not_hidden(run: Run, monkeypatch: pytest.Mo
 
 
 def test_error_message_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hydro_env.practice import command as hide
+    from hydro_env.practice import generate as hide
 
     def bad(*_: object, **__: object) -> None:
         raise InputError("first\nsecond")

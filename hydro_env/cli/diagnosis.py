@@ -69,7 +69,7 @@ def hide(
     """
     with writing(out) as folder:
         from hydro_env.plant import load_effects
-        from hydro_env.practice import command as work
+        from hydro_env.practice import generate as work
 
         load_effects(effect_files or [])
         columns = [name.strip() for name in record.split(",") if name.strip()]

@@ -25,7 +25,7 @@ from hydro_env.diagnosis import Settings
 from hydro_env.experiments import reproduce
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, beside_results, figure, fill, png, render, svg
-from hydro_env.practice import command as hide
+from hydro_env.practice import generate as hide
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.tasks import Trace
 

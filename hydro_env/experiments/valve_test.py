@@ -21,7 +21,7 @@ from hydro_env.files import write_json, write_text
 from hydro_env.pages import beside_results, png, svg
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel
 from hydro_env.valve_bench.bench import Sweeps, Tested, Valve, bench, branches_csv, pairs_of
-from hydro_env.valve_bench.page import gain_of, page
+from hydro_env.valve_bench.page import draw_curves, draw_rates, gain_of, page
 
 SCHEMA = "hydro_env/valve_test/1"
 #: Valves that are tested when none is named.
@@ -87,8 +87,6 @@ def run(
 
 
 def _draw(out: Path, tested: Sequence[Tested], data: dict[str, Any]) -> None:
-    from hydro_env.valve_bench.picture import draw_curves, draw_rates
-
     # A modelled valve's loops hardly differ; a measured one's may.
     sweeps = [(each.figures.curve,) if each.model else each.sweeps for each in tested]
     curves = draw_curves(sweeps, [each.figures for each in tested])

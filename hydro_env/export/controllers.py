@@ -7,19 +7,24 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env import __version__
 from hydro_env.controllers.base import Controller
+from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.errors import InputError, described
 from hydro_env.files import write_json, write_text
-from hydro_env.ir.reader import TranslationError
+from hydro_env.ir.nodes import without_unread
+from hydro_env.ir.reader import Reader, TranslationError
 from hydro_env.plant import Plant, PlantModel, load_model, scales_of
 
-from .c_code import c_code
+from .c_printer import RESERVED, TYPES, identifier, source, statements, variables
+from .schedule import Schedule
 from .structured_text import structured_text
 from .symbols import TraceError
-from .tracing import Program, trace
+from .templates import template
+from .tracing import MEASURED, Program, trace
 
 
 def program_of(
@@ -70,6 +75,30 @@ def _controller(spec: str, model: PlantModel, single: bool, trust: bool) -> Any:
     if controller.needs == "bench":
         controller.prepare(Plant(model))
     return controller
+
+
+def c_code(program: Program, about: str) -> dict[str, str]:
+    """A program as C99: the texts of NAME.h and NAME.c, by file; a state of fixed size, nothing allocated. `about`: a sentence on
+    the controller."""
+    name = identifier(program.name)
+    reader = Reader(reserved=RESERVED)
+    bodies = []
+    for which, assignments in (("first", program.first), ("next", program.next)):
+        schedule = Schedule(assignments, reader, "s->")
+        changing = {made.name for made in reader.functions.values() if made.written}
+        body, declared = without_unread(schedule.body, schedule.variables, changing)
+        lines = [*variables(declared), "(void)measured;", *statements(body)]
+        head = f"static void {which}_sample({name}_state *s, const double *measured, double *command) {{"
+        bodies.append("\n".join([head, *("    " + line for line in lines), "}", ""]))
+    state = "".join(f"    {TYPES[kind]} {each}[{size}];\n" for each, (kind, size) in program.state.items())
+    header, step = (
+        template(file).substitute(
+            name=name, guard=name.upper(), period=repr(program.period), about=about, version=__version__, measured=len(MEASURED),
+            hold=f"{HOLD:g}", samples=held_samples(program.period), state=state, most=MAX_VALUE,
+        )
+        for file in ("controller.h", "controller.c")
+    )  # fmt: skip
+    return {f"{name}.h": header, f"{name}.c": f'#include "{name}.h"\n' + source(reader, *bodies, step)}
 
 
 #: How a program is written, by the name of the language.

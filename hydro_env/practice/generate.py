@@ -31,13 +31,13 @@ from ..errors import InputError, check_known
 from ..files import write_json, write_text
 from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model, scales_of
-from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
+from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, parse_values, true_model
 from .manoeuvres import ROUND, RUNS, plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, columns_of, log_text, stretch_of
 from .reference import FORMS
 from .reference.forms import UNITS, Constants, draw, scaled
 
-__all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
+__all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice", "run"]
 
 SCHEMA = "hydro_env/truth/1"
 #: The log of commands from a file.
@@ -183,6 +183,28 @@ def make_practice(
         },
     }
     return Practice(logs, given, true, constants, hidden, truth)
+
+
+def run(
+    effects: Sequence[str], out: Path, *, none: bool = False, model: str = "paper", values: Sequence[str] = (),
+    base_error_percent: float = 0.0, **settings: Any,
+) -> Practice:  # fmt: skip
+    """The command `hydro-env hide EFFECT[:CHANNEL] ... --out DIR`: writes fit_1.csv, fit_2.csv, sealed.csv (or played.csv, with
+    `play`), model.yaml and truth.json to `out`.
+
+    `values` are words "effect.parameter=value"; `none` (--none) hides nothing and must be given when no effect is named;
+    `settings` as in `PracticeSettings`.
+    """
+    if none and effects:
+        raise InputError(f"--none hides nothing, yet {effects[0]!r} is named; leave one of them out")
+    if not none and not effects:
+        raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
+    base_error = base_error_percent / 100.0
+    practice = make_practice(
+        effects, model=model, values=parse_values(values), base_error=base_error, progress=True, **settings
+    )
+    practice.write(Path(out))
+    return practice
 
 
 def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Floats]:

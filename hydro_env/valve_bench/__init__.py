@@ -6,8 +6,7 @@
     figures.py   dead zone, hysteresis, gain, linearity, symmetry, maximum flow, null, threshold
     rates.py     several sweep rates: is the loop lag or hysteresis?
     bench.py     several valves, modelled or measured, with their sweeps and figures; how far apart two are
-    picture.py   flow over signal of all valves
-    page.py      the page of a valve test
+    page.py      the page of a valve test, and its pictures
 
 The bench needs the plant and nothing above it, so that a controller may use what it identifies.
 """

@@ -178,9 +178,9 @@ COMMANDS = {
 #: What takes long and writes nothing: its results are recorded in the first run and given back in all later ones.
 RECORDED = (
     ("hydro_env.experiments.reproduce", "reproduce"), ("hydro_env.experiments.reproduce", "sweep"),
-    ("hydro_env.practice.command", "make_practice"), ("hydro_env.case.command", "diagnose"),
-    ("hydro_env.controllers.tuning.tune", "search"),
+    ("hydro_env.case.command", "diagnose"), ("hydro_env.controllers.tuning.tune", "search"),
     ("hydro_env.experiments.close_loop", "run_tasks"), ("hydro_env.experiments.valve_test", "bench"),
+    ("hydro_env.practice.generate", "make_practice"),  # after the modules that import it by name
     *(("hydro_env.experiments.speed", f"measure_{n}") for n in ("start", "batch", "commands", "errors", "single", "effects")),
 )  # fmt: skip
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from hydro_env.envs.observation import SCALES
-from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import export_controller
+from hydro_env.export.fmu.build import find_compiler
 from tests.export.test_export_controllers import CLASSICAL, LAWS, NETWORKS, PERIOD, episode, in_python, rig_of
 
 DRIVER = """\

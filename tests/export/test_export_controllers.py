@@ -21,9 +21,8 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.envs.observation import SCALES, scales_on
-from hydro_env.export.c_code import c_code
-from hydro_env.export.compiler import find_compiler
-from hydro_env.export.controllers import export_controller, program_of
+from hydro_env.export.controllers import c_code, export_controller, program_of
+from hydro_env.export.fmu.build import find_compiler
 from hydro_env.export.structured_text import INPUTS
 from hydro_env.export.symbols import TraceError
 from hydro_env.export.tracing import trace

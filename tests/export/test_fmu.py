@@ -13,9 +13,8 @@ import pytest
 
 from hydro_env.cli import main
 from hydro_env.errors import InputError
-from hydro_env.export.compiler import find_compiler
-from hydro_env.export.fmu.build import export_fmu
-from hydro_env.export.fmu.units import base_unit
+from hydro_env.export.fmu.build import export_fmu, find_compiler
+from hydro_env.export.fmu.description import base_unit
 from hydro_env.plant import PARAMETERS, Plant, load_model
 from hydro_env.plant.catalogue import CATALOGUE
 

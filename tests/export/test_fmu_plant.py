@@ -20,8 +20,7 @@ from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
 from hydro_env.envs.privileged import privileged_names
 from hydro_env.errors import InputError
-from hydro_env.export.compiler import find_compiler
-from hydro_env.export.fmu.build import export_fmu
+from hydro_env.export.fmu.build import export_fmu, find_compiler
 from hydro_env.fmu_plant import load_fmu
 from hydro_env.plant import PAPER, load_model, scales_of
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.export.compiler import FLAGS, build_library, find_compiler
+from hydro_env.export.fmu.build import FLAGS, build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
 from hydro_env.plant import Plant, PlantModel, load_model
 

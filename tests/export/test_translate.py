@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_env.export.c_printer import expression, source
-from hydro_env.export.compiler import build_library, find_compiler
+from hydro_env.export.fmu.build import build_library, find_compiler
 from hydro_env.ir.nodes import Expr, var
 from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError
 

@@ -10,8 +10,7 @@ import pytest
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_model, simulate
 from hydro_env.plant.sensors import NOISE
-from hydro_env.practice.command import run
-from hydro_env.practice.generate import make_practice
+from hydro_env.practice.generate import make_practice, run
 from hydro_env.practice.hidden import SEVERITIES, parse_effects, parse_values
 from hydro_env.practice.manoeuvres import RUNS, plans
 from hydro_env.practice.reference.forms import CONSTANTS, STOPS, draw

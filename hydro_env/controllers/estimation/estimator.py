@@ -101,7 +101,7 @@ class Estimator:
         self, settings: EstimatorSettings, motor: Motor, seen: Measurements, period: float, horizon: int
     ) -> None:
         """`seen`: the first measurements, at rest."""
-        self.settings, self.motor, self.period = settings, motor, period
+        self.motor, self.period = motor, period
         self.channel: Channel = channel_of(settings.spool, motor, period, horizon)
         lag = settings.spool.pressure_lag
         self.spool, self.prompt = (SpoolModel(seen.command, self.channel, lag) for _ in range(2))
@@ -129,9 +129,8 @@ class Estimator:
         self.sent = np.concatenate([sent[None], self.sent[:-1]])
         valves = self.valves.state
         self.spool.move(self.sent[self.delay.periods, np.arange(len(sent))], valves.edge, valves.gain)
-        if self.settings.sensors.active:
-            seen = self._supervise(seen, steady)
-            self._watch_delay(seen, sweep)
+        seen = self._supervise(seen, steady)
+        self._watch_delay(seen, sweep)
         self.flow, self._pressure = self._measured_flow(seen), seen.pressure
         strength = self.motor.strength(self.flow, seen.pressure)
         self.valves.update(self.spool, self.flow / strength, self.flow_noise, flowing * self.flow_noise)

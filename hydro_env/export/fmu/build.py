@@ -5,18 +5,22 @@ The files are made of the model alone: the same model gives the same bytes, but 
 
 import hashlib
 import importlib.util
+import os
 import platform
+import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 import uuid
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env import __version__
 from hydro_env.errors import InputError, check_known, to_install
 from hydro_env.export.c_printer import identifier
-from hydro_env.export.compiler import build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
 from hydro_env.export.templates import template
 from hydro_env.files import write_json
@@ -26,6 +30,8 @@ from hydro_env.units import RPM
 from .description import COMMAND_REFERENCE, FIRST_REFERENCE, LOAD_REFERENCE, TIME_REFERENCE, model_description
 
 HERE = Path(__file__).parent
+#: No floating-point operation is fused or reordered: Clang fuses in C99 too, where the processor can.
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 #: By the name of a platform: its `sys.platform` and machine, the folder of the binary in FMI 2.0 (which has none for some) and in
 #: FMI 3.0, its ending, and what Zig calls it.
 PLATFORMS = {
@@ -126,3 +132,29 @@ def _write(
         for name, data in content.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     return binaries
+
+
+def find_compiler() -> list[str] | None:
+    """The command of a C compiler: `$CC`, else cc, gcc or clang; None if there is none. InputError for a `$CC` that is no
+    program here."""
+    named = shlex.split(os.environ.get("CC", ""))
+    if named:
+        if shutil.which(named[0]) is None:
+            raise InputError(f"CC is {named[0]!r}, which is no program here; unset it, or name a C compiler")
+        return named
+    return next(([found] for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+
+
+def build_library(
+    compiler: list[str], sources: Iterable[Path], library: Path, flags: Iterable[str] = FLAGS
+) -> None:
+    """Makes a shared library. InputError with the compiler's first complaint if it does not compile."""
+    library.parent.mkdir(parents=True, exist_ok=True)
+    names = [str(path) for path in sources]
+    shared = ["-shared"] if library.suffix == ".dll" else ["-shared", "-fPIC"]
+    command = [*compiler, *flags, *shared, "-fvisibility=hidden", *names, "-o", str(library), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        said = done.stderr.splitlines()
+        lines = [line for line in said if "error" in line] or said or ["no message"]
+        raise InputError(f"{compiler[0]} does not compile the exported C source: {lines[0]}")

@@ -5,6 +5,8 @@ Names: inputs `command_1` (V) and `load_1` (N m), outputs `speed_1`, `pressure_1
 """
 
 import math
+import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +16,7 @@ from hydro_env.export.plant_source import PlantSource
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.catalogue.effect import parameter_of
 from hydro_env.plant.kernel.layout import with_shared
-
-from .units import DISPLAYED, base_unit
+from hydro_env.units import BAR, DEGREE, LPM, MILLIMETRE, RPM
 
 #: Value references: time, both commands, both loads, then all cells of the plant's memory.
 TIME_REFERENCE, COMMAND_REFERENCE, LOAD_REFERENCE, FIRST_REFERENCE = 0, 1, 3, 16
@@ -30,6 +31,23 @@ _SIGNALS = {
     "angle": ("rad", "angle of the shaft since the start"), "flow": ("m3/s", "flow through the valve"),
     "measured_speed": ("rad/s", "speed of the shaft as its sensor shows it, without noise"),
     "diverged": ("1", "1 once the channel has diverged numerically and was put to rest"),
+}  # fmt: skip
+
+#: Units of the catalogue: exponents of kg, m, s, A, rad, and a factor.
+_KNOWN_UNITS: dict[str, tuple[dict[str, int], float]] = {
+    "1": ({}, 1.0),
+    **{name: ({name: 1}, 1.0) for name in ("kg", "m", "s", "A", "K", "rad")},
+    "N": ({"kg": 1, "m": 1, "s": -2}, 1.0),
+    "Pa": ({"kg": 1, "m": -1, "s": -2}, 1.0),
+    "MPa": ({"kg": 1, "m": -1, "s": -2}, 1e6),
+    "V": ({"kg": 1, "m": 2, "s": -3, "A": -1}, 1.0),
+    "Ohm": ({"kg": 1, "m": 2, "s": -3, "A": -2}, 1.0),
+    "H": ({"kg": 1, "m": 2, "s": -2, "A": -2}, 1.0),
+}
+#: By SI unit: the unit that people read, and how many of it one SI unit is.
+DISPLAYED = {
+    "rad/s": ("rpm", 1.0 / RPM), "Pa": ("bar", 1.0 / BAR), "m3/s": ("l/min", 1.0 / LPM), "m": ("mm", 1.0 / MILLIMETRE),
+    "rad": ("deg", 1.0 / DEGREE), "A": ("mA", 1e3),
 }  # fmt: skip
 
 
@@ -111,6 +129,24 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
     _structure(xml.SubElement(root, "ModelStructure"), every, version)
     xml.indent(root)
     return xml.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def base_unit(unit: str) -> tuple[dict[str, int], float]:
+    """Exponents of the base units of a catalogue unit ("m3/(s Pa)"), and the factor. ValueError for a unit that is not known."""
+    above, _, below = unit.partition("/")
+    exponents: Counter[str] = Counter()
+    factor = 1.0
+    for side, sign in ((above, 1), (below.strip("()"), -1)):
+        for word in side.split():
+            found = re.fullmatch(r"(1|[A-Za-z]+)(\d*)", word)
+            if found is None or found[1] not in _KNOWN_UNITS:
+                raise ValueError(f"unit {unit!r}: {word!r} is not known")
+            power = sign * int(found[2] or 1)
+            own, scale = _KNOWN_UNITS[found[1]]
+            factor *= scale**power
+            for name, exponent in own.items():
+                exponents[name] += power * exponent
+    return {name: exponent for name, exponent in exponents.items() if exponent}, factor
 
 
 def _units(parent: xml.Element, every: list[Variable]) -> None:
