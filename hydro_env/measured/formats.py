@@ -11,6 +11,7 @@ databases and attachments of MDF files, data of HDF5 files that lie in other fil
 """
 
 import logging
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
@@ -150,11 +151,15 @@ def _mat(path: Path, units: dict[str, str]) -> Iterator[Opened]:
             hdf.visititems(partial(_add_columns, found))
             yield found
         return
+    from scipy.io import loadmat, whosmat
     from scipy.io.matlab import matfile_version
 
-    if matfile_version(path)[0] != 1:
-        raise ValueError("it is neither MAT 5 nor 7.3")
-    for name, values in read_mat5(path).items():
+    if matfile_version(path)[0] == 1:
+        matrices = read_mat5(path)
+    else:
+        check_size(sum(math.prod(shape) for _, shape, _ in whosmat(path)))
+        matrices = {name: values for name, values in loadmat(path).items() if not name.startswith("__")}
+    for name, values in matrices.items():
         _add_columns(found, name, values.T)
     yield found
 
