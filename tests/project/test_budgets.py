@@ -16,10 +16,10 @@ ROOT = Path(__file__).parents[2]
 
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
-    "hydro_env": 31_700,
+    "hydro_env": 30_000,
     "hydro_env/diagnosis": 4_700,
-    "hydro_env/export": 2_000,
-    "hydro_env/experiments": 1_880,
+    "hydro_env/export": 1_900,
+    "hydro_env/experiments": 1_800,
 }
 #: Words, without generated parts, of everything that matches.
 MAX_WORDS = {"docs/**/*.md": 25_000, "CHANGELOG.md": 2_500, "README.md": 700}
