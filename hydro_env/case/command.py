@@ -10,7 +10,7 @@ from typing import Any
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.stages.next_experiment import FILE as NEXT_EXPERIMENT
 from ..files import write_json, write_text
-from ..pages import beside_results, import_in_background
+from ..pages import beside_results
 
 
 def run(
@@ -33,7 +33,6 @@ def run(
             else:
                 bar.set_description(text)
 
-        import_in_background()
         found = diagnose(fit_logs, sealed, jobs=jobs or cpu_count(), progress=progress, **options)
         bar.set_description("writing the report")
         write(found, Path(out))

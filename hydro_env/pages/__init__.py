@@ -14,11 +14,9 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from hydro_env.errors import InputWarning, to_install
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "COLOURS", "beside_results", "figure", "fill", "import_in_background", "legend", "png", "render", "svg",
+    "COLOURS", "beside_results", "figure", "fill", "legend", "png", "render", "svg",
 ]  # fmt: skip
 
 #: Line colours that can be told apart on white and on dark, also by most colour-blind eyes.
@@ -73,17 +71,6 @@ def beside_results(page: Path) -> Iterator[None]:
         warnings.warn(InputWarning(" ".join(why.split())), stacklevel=3)
         if page.suffix == ".html":
             write_text(page, f'<!doctype html><meta charset="utf-8"><p>{html.escape(why)}</p>\n')
-
-
-def import_in_background() -> None:
-    """Begins to import what pictures and pages need, while this thread goes on: it takes half a second."""
-
-    def work() -> None:
-        for name in ("matplotlib.figure", "matplotlib.backends.backend_svg", "jinja2"):
-            with suppress(ImportError):  # who draws says what is missing
-                import_module(name)
-
-    Thread(target=work).start()
 
 
 def render(template: Path | Traversable, **values: Any) -> str:
