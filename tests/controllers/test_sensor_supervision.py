@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hydro_env.controllers.estimation.estimator import EstimatorSettings
 from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
@@ -18,11 +19,9 @@ def drive(seconds=1.0, plant="paper_dead_zone", mismatch="val", noise=1.0, super
     """Drives the law alone; returns its estimator, the largest speed difference of every rig, and the rigs."""
     env = HydraulicSyncVectorEnv(RIGS, plant=plant, mismatch=mismatch, scenario="setpoint_steps", noise=noise)
     observation, _ = env.reset(seed=list(range(RIGS)))
-    law, largest = FlowController(FlowSettings(planner=None)), np.zeros(RIGS)
+    estimator = EstimatorSettings(sensors=SensorSettings(active=supervised))
+    law, largest = FlowController(FlowSettings(estimator=estimator, planner=None)), np.zeros(RIGS)
     law.start(decode(observation), 0.01)
-    if not supervised:
-        law.estimator._supervise = lambda seen, steady: seen
-        law.estimator._watch_delay = lambda seen, sweep: None
     for step in range(round(seconds / 0.01)):
         observation, *_, info = env.step(law.command())
         if at_step is not None:

@@ -129,8 +129,9 @@ class Estimator:
         self.sent = np.concatenate([sent[None], self.sent[:-1]])
         valves = self.valves.state
         self.spool.move(self.sent[self.delay.periods, np.arange(len(sent))], valves.edge, valves.gain)
-        seen = self._supervise(seen, steady)
-        self._watch_delay(seen, sweep)
+        if self.settings.sensors.active:
+            seen = self._supervise(seen, steady)
+            self._watch_delay(seen, sweep)
         self.flow, self._pressure = self._measured_flow(seen), seen.pressure
         strength = self.motor.strength(self.flow, seen.pressure)
         self.valves.update(self.spool, self.flow / strength, self.flow_noise, flowing * self.flow_noise)

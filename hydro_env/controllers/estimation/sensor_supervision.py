@@ -24,6 +24,7 @@ INERTIA, DISPLACEMENT, FRICTION, LEAKAGE = (NOMINAL[name] for name in ("J", "D",
 class SensorSettings(NamedTuple):
     """From when on a sensor is held for noisy, lagging or stuck."""
 
+    active: Annotated[bool, "", "whether readings are supervised at all"] = True
     noisy: Annotated[float, "1", "noise of a speed that counts as unusual, of usual", HAND] = 1.7
     noisy_pressure: Annotated[float, "1", "and of the pressures: all four sensors tell of it", HAND] = 1.4
     forgetting: Annotated[float, "1", "share of a new square in the noise's mean", HAND] = 0.02
