@@ -101,7 +101,7 @@ class Estimator:
         self, settings: EstimatorSettings, motor: Motor, seen: Measurements, period: float, horizon: int
     ) -> None:
         """`seen`: the first measurements, at rest."""
-        self.motor, self.period = motor, period
+        self.settings, self.motor, self.period = settings, motor, period
         self.channel: Channel = channel_of(settings.spool, motor, period, horizon)
         lag = settings.spool.pressure_lag
         self.spool, self.prompt = (SpoolModel(seen.command, self.channel, lag) for _ in range(2))
