@@ -132,6 +132,14 @@ class Estimate:
         unknowns, label = [self.unknowns[j] for j in keep], f"without {effect}"
         return Estimate(self.channel, unknowns, self.q[keep], label, follow=follow)
 
+    def with_whole_orders(self) -> "Estimate | None":
+        """The same with every order held at the nearest whole number; None where no order is estimated."""
+        places = [j for j, u in enumerate(self.unknowns) if u.is_order and u.low < u.high]
+        unknowns, q = [*self.unknowns], self.q.copy()
+        for j in places:
+            unknowns[j], q[j] = unknowns[j].held(round(unknowns[j].value(q[j]))), 0.0
+        return replace(self.at(q), unknowns=unknowns) if places else None
+
     def improve(self, cost: float, q: Vector, simulated: Samples) -> None:
         """Moves to q, where the `simulated` samples have this cost, if that is lower."""
         if cost < self.cost:
