@@ -15,7 +15,7 @@ from hydro_env.diagnosis.stages import search, selection
 from hydro_env.diagnosis.stages.candidates import ACCEPTED, OUTDONE, Accepted, Candidate, penalty
 from hydro_env.diagnosis.stages.screening import screen
 from hydro_env.diagnosis.stages.search import Search, in_whole_orders
-from hydro_env.diagnosis.stages.selection import recall
+from hydro_env.diagnosis.stages.selection import part, recall
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of
@@ -68,6 +68,21 @@ def test_what_was_found_before_and_explains_no_more_is_forgotten(channel: int) -
     pairs = dict.fromkeys(FORMER, (0.2, 0.0) if channel == 0 else (0.0, 0.2))
     recall(own, load_model("paper").with_values(pairs))
     assert [k.effect for k in own.accepted] == [ALONE] and own.present[0] is present
+
+
+def test_what_competed_with_an_effect_that_is_there_too_is_no_tie() -> None:
+    own = _search({FORMER[0]: 0.23, FORMER[1]: 0.17})
+    recall(own, MODEL)
+    first, second = own.accepted
+    own.accepted[0] = replace(first, competing={second.effect: 3.0, ALONE: 5.0})
+    before = own.present[0].cost
+    part(own)
+    assert [k.effect for k in own.accepted] == [second.effect, first.effect]
+    assert own.accepted[0] is second and second.effect not in own.accepted[1].competing
+    assert own.present[0].cost <= before + 1e-6
+    again = [*own.accepted]
+    part(own)
+    assert own.accepted == again
 
 
 def _ripple(order: float) -> tuple[Fit, Estimate]:

@@ -42,6 +42,8 @@ def run(
     search = select(Search(logs.fit, own, screening, logs.seconds, dict(own)))
     if former is not None and logs.rig.has_hidden_states:
         recall(search, former)
+    if logs.rig.has_hidden_states:
+        part(search)
     placebo = _placebos(search)
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, placebo
@@ -372,13 +374,28 @@ def recall(search: Search, former: PlantModel) -> None:
         for k in search.on(c):
             search.drop(k, k.gain, OUTDONE, present)
         for name in own:
-            whole = replace(search.present[c], label=name)
-            less = whole.without(name, c)
-            search.settle([less])
-            search.put(less)
-            beside = screen(fit, {c: less}, search.names, search.seconds, search.screening)
-            _round(search, [c], [k for k in beside if k.effect != name], 2, {c: whole})
+            _compete_again(search, c, name)
         prefer_form(search)
+
+
+def part(search: Search) -> None:
+    """Has an accepted effect compete again beside the others of its channel where one of these competed with it before:
+    as both are there, neither stands for the other."""
+    for k in [*search.accepted]:
+        c, beside = k.channel, {other.effect for other in search.on(k.channel)}
+        if c is not None and search.present[c].channel == c and beside & {*k.competing}:
+            search.accepted.remove(k)
+            _compete_again(search, c, k.effect)
+
+
+def _compete_again(search: Search, c: int, name: str) -> None:
+    """A forward step for the place of one of the effects that a channel has, beside its others."""
+    whole = replace(search.present[c], label=name)
+    less = whole.without(name, c)
+    search.settle([less])
+    search.put(less)
+    beside = screen(search.fit, {c: less}, search.names, search.seconds, search.screening)
+    _round(search, [c], [k for k in beside if k.effect != name], 2, {c: whole})
 
 
 def _formerly(search: Search, former: PlantModel, c: int) -> Estimate:
