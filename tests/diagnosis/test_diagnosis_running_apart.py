@@ -10,7 +10,7 @@ import pytest
 
 from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.logs import Logs
-from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.base import Request, Segments
 from hydro_env.diagnosis.stages import running_apart
 from hydro_env.diagnosis.stages.candidates import Accepted, Correction, Selection
 from hydro_env.diagnosis.stages.form_correction import Models
@@ -36,10 +36,12 @@ class Apart(LinearRig):
         return replace(self, followed=frozenset(channels))
 
 
-def _models(left: float) -> tuple[Selection, Models]:
+def _models(left: float, signal: str = "pressure") -> tuple[Selection, Models]:
+    """A load that is named, as a fit to free simulations of a `signal` finds it, beside a correction of the other channel."""
     fit, base = logged({SIZE: CURVE}, {SIZE: 0.2}, ROWS)
-    rig = Apart(fit.rig.curves, fit.rig.time, segments=fit.rig.segments, left=left)  # type: ignore[attr-defined]
-    fit = replace(fit, rig=rig)  # type: ignore[arg-type]
+    segments = {0: Segments([replace(s, signal=signal) for s in fit.rig.segments[0]])}
+    rig = Apart(fit.rig.curves, fit.rig.time, segments=segments, left=left)  # type: ignore[attr-defined]
+    fit = replace(fit, rig=rig, noise={(0, signal): fit.noise[0, "speed"]})  # type: ignore[arg-type]
     named = base.with_effect(NAME, {"bias": 0.1}, 0)
     solve(fit, [named], 8)
     other = Correction("dead_zone", 1, "edge_form", named, 30.0)
@@ -59,8 +61,14 @@ def test_what_is_named_is_fitted_to_simulations_that_stay_beside_the_rig() -> No
     assert selection.estimates[0] is models.named[0]  # names were compared by free simulations
 
 
-@pytest.mark.parametrize(("left", "verdict"), [(0.8, "effects"), (0.0, "unknown")])
-def test_what_explains_the_logs_no_better_then_is_left_as_it_is(left: float, verdict: str) -> None:
-    selection, models = _models(left)
+@pytest.mark.parametrize(
+    ("left", "verdict", "signal"),
+    [(0.8, "effects", "pressure"), (0.0, "unknown", "pressure"), (0.0, "effects", "speed")],
+)
+def test_what_explains_the_logs_no_better_then_is_left_as_it_is(
+    left: float, verdict: str, signal: str
+) -> None:
+    """A speed that is followed says nothing."""
+    selection, models = _models(left, signal)
     assert running_apart.run(selection, verdict, models) is models
     assert models.fitted_to(selection.logs) is selection.logs

@@ -8,25 +8,26 @@ errors (Ljung, System Identification, 1999). Held-out logs are still simulated f
 
 from dataclasses import replace
 
-from ..estimation.estimate import distinct
+from ..estimation.estimate import Estimate, distinct
+from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from .candidates import Selection
 from .form_correction import Models, correct
 
 
 def run(selection: Selection, verdict: str, models: Models) -> Models:
-    """The models with the named effects refitted to simulations that follow the measured speed, on the channels where these alone
-    explain the logs."""
+    """Refits what is named to simulations that follow the measured speed, on the channels where these alone explain the logs."""
     fit, accepted = selection.logs.fit, selection.accepted
     for p in distinct(models.named) if verdict == "effects" else ():
         channels = fit.channels_of(p)
         near = fit.on(fit.rig.following(fit.rig.followed | {*channels}))
         names = [(k.effect, k.channel) for k in accepted if p.channel in (None, k.channel)]
         able = names and near.rig.followed > fit.rig.followed
-        if not able or not any(fit.unexplained(models.final[c], c) for c in channels):
+        if not able or not any(_unexplained(fit, models.final[c], c) for c in channels):
             continue
-        bare = p.at(p.q.copy())
-        solve(near, [bare], SETTLE_ITERATIONS)
+        starts = [p.at(p.q.copy()), p.from_given()]
+        solve(near, starts, SETTLE_ITERATIONS)
+        bare = min(starts, key=lambda start: start.cost)
         near = near.with_noise_seen_by(dict.fromkeys(channels, bare))
         near.rescore([bare])
         better, kept = correct(near, bare, names)
@@ -43,3 +44,10 @@ def run(selection: Selection, verdict: str, models: Models) -> Models:
             followed=models.followed | {*channels},
         )  # fmt: skip
     return models
+
+
+def _unexplained(fit: Fit, estimate: Estimate, c: int) -> bool:
+    """Whether a residual stays that is clearly above the noise, not only in the speed: of that a simulation that follows it says
+    little."""
+    factor, left = fit.settings.unexplained, fit.rms(estimate.simulated[c], c)
+    return any(v > factor * fit.noise[c, signal] for (_, signal), v in left.items() if signal != "speed")

@@ -36,7 +36,10 @@ FULL_ITERATIONS = len(DIFFERENCE_STEPS)
 def run(
     calibrated: Calibrated, screening: Sequence[Screening], former: PlantModel | None = None
 ) -> Selection:
-    """Selects effects and estimates the noise again; those of the `former` model, of a diagnosis of some of the logs, compete."""
+    """Selects effects and estimates the noise again.
+
+    Those of the `former` model, which a diagnosis of some of the logs has found, compete.
+    """
     logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
     own = {c: copies[p] for c, p in calibrated.estimates.items()}
     search = select(Search(logs.fit, own, screening, logs.seconds, dict(own)))
