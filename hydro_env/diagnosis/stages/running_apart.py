@@ -8,46 +8,35 @@ errors (Ljung, System Identification, 1999). Held-out logs are still simulated f
 
 from dataclasses import replace
 
-from ..estimation.estimate import Estimate, distinct
-from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from .candidates import Selection
 from .form_correction import Models, correct
 
 
 def run(selection: Selection, verdict: str, models: Models) -> Models:
-    """Refits what is named to simulations that follow the measured speed, on the channels where these alone explain the logs."""
-    fit, accepted = selection.logs.fit, selection.accepted
-    for p in distinct(models.named) if verdict == "effects" else ():
-        channels = fit.channels_of(p)
-        near = fit.on(fit.rig.following(fit.rig.followed | {*channels}))
-        names = [(k.effect, k.channel) for k in accepted if p.channel in (None, k.channel)]
-        able = names and near.rig.followed > fit.rig.followed
-        if not able or not any(_unexplained(fit, models.final[c], c) for c in channels):
+    """Refits what is named to simulations that follow the measured speed, on the channels where these alone explain the logs.
+
+    A residual of the speed alone is left as it is: a simulation that follows the speed says little of it. So is a rig that is
+    estimated as a whole, whose simulations are slow.
+    """
+    fit = selection.logs.fit
+    for c, p in models.named.items() if verdict == "effects" else ():
+        near = fit.on(fit.rig.following(fit.rig.followed | {c}))
+        names = [(k.effect, k.channel) for k in selection.accepted if k.channel == c]
+        able = names and p.channel == c and near.rig.followed > fit.rig.followed
+        if not able or not fit.unexplained(models.final[c], c, besides="speed"):
             continue
         starts = [p.at(p.q.copy()), p.from_given()]
         solve(near, starts, SETTLE_ITERATIONS)
         bare = min(starts, key=lambda start: start.cost)
-        near = near.with_noise_seen_by(dict.fromkeys(channels, bare))
+        near = near.with_noise_seen_by({c: bare})
         near.rescore([bare])
         better, kept = correct(near, bare, names)
-        if any(near.unexplained(better, c) for c in channels):
-            continue
-        before = [
-            k
-            for k in models.corrections
-            if k.channel not in channels or (k.correction, k.channel) in p.placed_effects()
-        ]
-        models = replace(
-            models, named={**models.named, **dict.fromkeys(channels, bare)},
-            final={**models.final, **dict.fromkeys(channels, better)}, corrections=[*before, *kept],
-            followed=models.followed | {*channels},
-        )  # fmt: skip
+        if not near.unexplained(better, c):
+            of_given = p.placed_effects()
+            others = [k for k in models.corrections if k.channel != c or (k.correction, c) in of_given]
+            models = replace(
+                models, named={**models.named, c: bare}, final={**models.final, c: better}, corrections=[*others, *kept],
+                followed=models.followed | {c},
+            )  # fmt: skip
     return models
-
-
-def _unexplained(fit: Fit, estimate: Estimate, c: int) -> bool:
-    """Whether a residual stays that is clearly above the noise, not only in the speed: of that a simulation that follows it says
-    little."""
-    factor, left = fit.settings.unexplained, fit.rms(estimate.simulated[c], c)
-    return any(v > factor * fit.noise[c, signal] for (_, signal), v in left.items() if signal != "speed")
