@@ -132,7 +132,7 @@ def _find(
 
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
-        models = do(form_correction.run, calibrated.given, chosen, first, forms)
+        models = do(form_correction.run, calibrated.given, chosen, first, forms, former)
         models = do(running_apart.run, chosen, first, models)
         fitted = models.fitted_to(logs)
         shown = do(uncertainty.run, fitted, do(uncertainty.settle, fitted, models.shown))

@@ -6,7 +6,7 @@ from math import nan
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect
+from ...plant import CATALOGUE, Effect, PlantModel
 from ..models.base import Request, Samples
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
@@ -89,6 +89,11 @@ class Estimate:
         """The same unknowns at q, not yet simulated."""
         label = self.label if label is None else label
         return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
+
+    def at_values_of(self, model: PlantModel, channel: int) -> "Estimate":
+        """The same unknowns at the values that a model has on a channel, within their bounds."""
+        values = [(u, model.value(u.name, channel)) for u in self.unknowns]
+        return self.at(np.array([u.q(min(max(value, u.low), u.high)) for u, value in values]))
 
     def from_given(self) -> "Estimate":
         """Known parameters as given, but those of the coil (the current determines them, whatever is missing behind), and

@@ -9,8 +9,6 @@ compared with one that has an effect of the whole rig.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ...plant import CATALOGUE, PlantModel
 from ..estimation.estimate import Estimate, Estimates, distinct, joined
 from ..estimation.fit import Fit
@@ -408,10 +406,7 @@ def _formerly(search: Search, former: PlantModel, c: int) -> Estimate:
     for k in search.screening:
         if k.channel == c and k.effect in acting and not CATALOGUE[k.effect].is_neutral(acting[k.effect][c]):
             found = found.with_effect(k.effect, k.start, c)
-    if found is search.calibrated[c]:
-        return found
-    values = [(u, former.value(u.name, c)) for u in found.unknowns]
-    return found.at(np.array([u.q(min(max(value, u.low), u.high)) for u, value in values]))
+    return found if found is search.calibrated[c] else found.at_values_of(former, c)
 
 
 # --- backward step ----------------------------------------------------------------------------------------------------------
