@@ -11,6 +11,7 @@ from dataclasses import replace
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from .candidates import Selection
 from .form_correction import Models, correct
+from .validation import AT_NOISE
 
 
 def run(selection: Selection, verdict: str, models: Models) -> Models:
@@ -32,7 +33,7 @@ def run(selection: Selection, verdict: str, models: Models) -> Models:
         near = near.with_noise_seen_by({c: bare})
         near.rescore([bare])
         better, kept = correct(near, bare, names)
-        if not near.unexplained(better, c):
+        if near.at_noise(better, AT_NOISE):
             of_given = p.placed_effects()
             others = [k for k in models.corrections if k.channel != c or (k.correction, c) in of_given]
             models = replace(
