@@ -28,7 +28,6 @@ from .stages import (
     naming,
     next_experiment,
     rattling,
-    running_apart,
     screening,
     selection,
     uncertainty,
@@ -51,7 +50,6 @@ STAGES: dict[Callable[..., Any], str] = {
     selection.run: "selecting effects",
     verdict.decide: "verdict of the fit logs",
     form_correction.run: "correcting the form of what is named",
-    running_apart.run: "following the measured speed",
     uncertainty.settle: "settling on the minimum",
     uncertainty.run: "uncertainty",
     validation.run: "validation on held-out logs",
@@ -133,9 +131,7 @@ def _find(
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
         models = do(form_correction.run, calibrated.given, chosen, first, forms, former)
-        models = do(running_apart.run, chosen, first, models)
-        fitted = models.fitted_to(logs)
-        shown = do(uncertainty.run, fitted, do(uncertainty.settle, fitted, models.shown))
+        shown = do(uncertainty.run, logs, do(uncertainty.settle, logs, models.shown))
         models = models.with_shown(shown)
         return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))
 

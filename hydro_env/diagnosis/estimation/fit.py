@@ -133,10 +133,10 @@ class Fit:
                 worth += effective_samples(error) * max(np.log(ratio), 0.0)
         return seen and (worth > WORTH or self.unexplained(estimate, channel))
 
-    def unexplained(self, estimate: Estimate, channel: int, besides: str = "") -> bool:
-        """Whether a residual stays that is clearly above the noise, in a signal of a log, `besides` one."""
+    def unexplained(self, estimate: Estimate, channel: int) -> bool:
+        """Whether a residual stays that is clearly above the noise, in a signal of a log."""
         factor, left = self.settings.unexplained, self.rms(estimate.simulated[channel], channel)
-        return any(v > factor * self.noise[channel, s] for (_, s), v in left.items() if s != besides)
+        return any(v > factor * self.noise[channel, signal] for (_, signal), v in left.items())
 
     def mostly_explained(self, before: Estimate, after: Estimate, channel: int) -> bool:
         """Whether most of the residual that `before` leaves on a channel is explained by `after`, by level or by power.

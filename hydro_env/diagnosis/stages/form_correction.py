@@ -20,7 +20,6 @@ from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, solve
 from ..estimation.local_minima import grow_horizon
 from ..estimation.unknowns import Unknown
-from ..logs import Logs
 from ..models.base import effect_in, given_effects
 from .calibration import Calibrated
 from .candidates import Correction, Selection, penalty_per_parameter
@@ -40,8 +39,7 @@ NONE: Tried = {}
 @dataclass(frozen=True)
 class Models:
     """The models that are compared, by channel: as given, calibrated, with the `named` effects, with the corrections of their
-    form as well (`final`), and with the best wrong effects instead (`placebo`). Those of the channels `followed` were fitted to
-    simulations that follow the measured speed (`running_apart`)."""
+    form as well (`final`), and with the best wrong effects instead (`placebo`)."""
 
     given: Estimates
     calibrated: Estimates
@@ -49,11 +47,6 @@ class Models:
     final: Estimates
     placebo: Estimates
     corrections: list[Correction] = field(default_factory=list)
-    followed: frozenset[int] = frozenset()
-
-    def fitted_to(self, logs: Logs) -> Logs:
-        """The logs with the simulations that the final models were fitted to."""
-        return logs.following(logs.rig.followed | self.followed) if self.followed else logs
 
     @property
     def shown(self) -> Estimates:

@@ -77,7 +77,7 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere, [])
     bare = models.as_named()
-    bare = bare.with_shown(uncertainty.run(bare.fitted_to(logs), bare.shown))
+    bare = bare.with_shown(uncertainty.run(logs, bare.shown))
     absent = list(_absent(logs, selection.accepted, models.final))
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [], absent)
 
