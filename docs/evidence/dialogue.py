@@ -6,7 +6,7 @@ Each rig hides one effect (all of the catalogue in turn, small, medium and large
 off the given model's but in every second rig without effects; noise, sizes and forms as in `blind_trials`. The first log is 6 s
 of closed-loop operation, the held-out one 6 s of another mixture. As long as the diagnosis is not sure (`case.dialogue`), the
 rig plays 12 s that it asks for, with the sensor that it asks for, or random or D-optimal manoeuvres of the same family and limits
-(`naming_methods.designs`). All logs are diagnosed together, against the same held-out one.
+(`naming_methods.designs`). All logs are diagnosed together, beside what was found before, against the same held-out one.
 
 Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden. Rigs
 that DIR holds already are not run again. Writes dialogue.json and dialogue.md.
@@ -35,6 +35,7 @@ from hydro_env.experiments.coverage import by_channel
 from hydro_env.experiments.naming_benchmark.dialogue import asked
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import CORES, SEEDS, Limits
+from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import PLAYED, make_practice
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
@@ -62,11 +63,13 @@ class Rig:
     truth: Mapping[str, Any]
     jobs: int
 
-    def diagnosed(self, answers: Sequence[Path] = ()) -> tuple[Diagnosis, float]:
-        """What the first log and `answers` show, and how many seconds that took."""
+    def diagnosed(
+        self, answers: Sequence[Path] = (), former: PlantModel | None = None
+    ) -> tuple[Diagnosis, float]:
+        """What the first log and `answers` show beside the `former` model, and how many seconds that took."""
         begin, model = time.perf_counter(), self.folder / "model.yaml"
-        logs = [self.folder / f"{FIRST}.csv", *answers]
-        found = diagnose(logs, [self.folder / f"{HELD_OUT}.csv"], model=model, jobs=self.jobs)
+        logs, sealed = [self.folder / f"{FIRST}.csv", *answers], [self.folder / f"{HELD_OUT}.csv"]
+        found = diagnose(logs, sealed, model=model, former=former, jobs=self.jobs)
         return found, time.perf_counter() - begin
 
     def played(self, name: str, commands: str, record: Sequence[str]) -> Path:
@@ -108,7 +111,7 @@ def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[
         if question is None:
             return rounds
         answers.append(rig.played(f"{kind}_{len(rounds)}", commands, [*recorded(found.logs), *sensors]))
-        found, seconds = rig.diagnosed(answers)
+        found, seconds = rig.diagnosed(answers, found.model)
 
 
 def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:

@@ -89,12 +89,16 @@ def _with(folder: Path, case: CaseFile, logs: Sequence[str]) -> CaseFile:
 def _diagnosed(
     folder: Path, case: CaseFile, arguments: dict[str, Any], jobs: int | None, quiet: bool
 ) -> CaseFile:
-    """Diagnoses all logs and adds what was found: the round's folder, the question, the page, and case.json last."""
+    """Diagnoses all logs, beside what the round before found, and adds what is found: the round's folder, the question, the page,
+    and case.json last."""
     copies = {name: folder / copy for name, copy in cases.COPIED.items() if copy in case.files}
     given = {name: copies.get(name, case.options[name]) for name in cases.COPIED}
     fit = [str(folder / word) for r in case.rounds for word in r.logs]
     for left in folder.glob(".round_*"):  # of a call that was killed
         shutil.rmtree(left)
+    before = folder / f"round_{len(case.rounds) - 1}" / "model.yaml"
+    if before.exists():  # the first round has none, and nothing is lost where somebody took it away
+        arguments = {**arguments, "former": before}
     with output_folder(folder / f"round_{len(case.rounds)}") as work:
         sealed = [str(folder / word) for word in case.sealed]
         found = command.run(fit, sealed, work, jobs=jobs, quiet=quiet, summary=False, **given, **arguments)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from ..measured import Mapping, RigLog
-from ..plant import PlantModel
+from ..plant import PlantModel, load_model
 from .logs import Logs, opened
 from .result import Diagnosis
 from .settings import Settings
@@ -68,7 +68,7 @@ Result = TypeVar("Result")
 def diagnose(
     fit: Sequence[str | Path | RigLog], sealed: Sequence[str | Path | RigLog], model: str | Path | PlantModel = "paper",
     mapping: Mapping | str | Path | None = None, *, jobs: int = 1, steady: bool = False, without: Collection[str] = (),
-    accept: Collection[str] = (), settings: Settings = DEFAULT,
+    accept: Collection[str] = (), former: str | Path | PlantModel | None = None, settings: Settings = DEFAULT,
     progress: Callable[[str, int], None] = lambda text, simulations: None,
 ) -> Diagnosis:  # fmt: skip
     """Finds out from logs what a model of the rig lacks.
@@ -82,6 +82,8 @@ def diagnose(
         steady: whether to use the reduced steady-valve model.
         without: effects that are not to be candidates.
         accept: codes of findings (`sign`, `swapped`, `unit`, ...) that would otherwise stop a diagnosis.
+        former: model that a diagnosis of some of the logs with the same `model` has found: its effects compete with those that
+            are found anew, and stay where they explain more.
         settings: thresholds, the seed of the bootstrap, and rules to switch off for an ablation.
         progress: called with what is being done and the number of simulations done since the last call.
 
@@ -100,11 +102,13 @@ def diagnose(
         fit, sealed, model, mapping, accept, steady=steady, jobs=jobs, settings=settings, without=without,
         count=lambda done: progress(doing, done),
     ) as logs:  # fmt: skip
-        found = _find(logs, accept, say)
+        found = _find(logs, accept, None if former is None else load_model(former), say)
     return replace(found, seconds=time.perf_counter() - begin)
 
 
-def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Diagnosis:
+def _find(
+    logs: Logs, accept: Collection[str], former: PlantModel | None, say: Callable[[str], None]
+) -> Diagnosis:
     """All stages in their order, each with what it needs of those before; without the time that they took."""
 
     def do(stage: Callable[Given, Result], *needs: Given.args, **more: Given.kwargs) -> Result:
@@ -116,7 +120,7 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
     calibrated = do(rattling.run, calibrated, calibrated.estimates)
     while True:
         screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)
-        selected = do(selection.run, calibrated, screened)
+        selected = do(selection.run, calibrated, screened, former)
         # An effect that explains more may have hidden a coupling that rattles: then all is selected beside that.
         following = do(rattling.run, calibrated, selected.in_best_form())
         if following is calibrated:
@@ -126,7 +130,7 @@ def _find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Di
 
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
-        models = do(form_correction.run, calibrated.given, chosen, first, forms)
+        models = do(form_correction.run, calibrated.given, chosen, first, forms, former)
         shown = do(uncertainty.run, logs, do(uncertainty.settle, logs, models.shown))
         models = models.with_shown(shown)
         return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))

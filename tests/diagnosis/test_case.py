@@ -52,11 +52,14 @@ class Rigged:
 
     def __init__(self, sure_at: int = 9, sensor: str | None = None) -> None:
         self.sure_at, self.sensor, self.calls = sure_at, sensor, 0
+        self.former: list[Path | None] = []
 
     def __call__(
-        self, fit: Sequence[str], sealed: Sequence[str], out: Path, *, settings: Settings, **_: Any
-    ) -> Any:
+        self, fit: Sequence[str], sealed: Sequence[str], out: Path, *, settings: Settings, former: Path | None = None, **_: Any
+    ) -> Any:  # fmt: skip
         self.calls += 1
+        self.former.append(former)
+        (out / "model.yaml").write_text("found")
         (out / "report.html").write_text("full")
         shares = {TWINS[0]: 0.5, TWINS[1]: 0.45, UNKNOWN: 0.05}
         apart = {TWINS: 1.5}
@@ -125,10 +128,12 @@ def test_a_dialogue_asks_until_it_is_sure(
         begun(_log(tmp_path / "more.csv", 4.0))
 
 
-def test_questions_are_used_up(tmp_path: Path, begun: Callable[..., CaseFile]) -> None:
+def test_questions_are_used_up(tmp_path: Path, rigged: Rigged, begun: Callable[..., CaseFile]) -> None:
     for n in range(3):
         case = begun(_log(tmp_path / f"answer_{n}.csv", 3.0 + n))
     assert case.closed == "questions used up" and len(case.asked) == 3
+    # What a round found takes part in the next one.
+    assert rigged.former == [None, *(tmp_path / f"case/round_{n}/model.yaml" for n in (1, 2, 3))]
 
 
 def test_a_kill_before_or_in_the_diagnosis_costs_only_time(

@@ -76,6 +76,7 @@ CROWDED = {
     "hydro_env.plant.catalogue.form_corrections.valve._stops_force": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.losses._jeong_torque": "a law asks by name for all that it reads",
     "hydro_env.cli.controllers.benchmark": "an option each",
+    "hydro_env.diagnosis.workflow.diagnose": "all that a user may give, most of it optional",
     "hydro_env.cli.diagnosis.diagnose": "an option each",
     "hydro_env.cli.diagnosis.hide": "an option each",
     "hydro_env.cli.controllers.tune": "an option each",

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 #: Lines of code, without blank ones, comments and docstrings, of everything below a folder.
 MAX_LINES = {
-    "hydro_env": 30_000,
+    "hydro_env": 30_200,
     "hydro_env/diagnosis": 4_700,
     "hydro_env/export": 1_900,
     "hydro_env/experiments": 1_800,

@@ -6,7 +6,7 @@ from math import nan
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect
+from ...plant import CATALOGUE, Effect, PlantModel
 from ..models.base import Request, Samples
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
@@ -90,6 +90,11 @@ class Estimate:
         label = self.label if label is None else label
         return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
 
+    def at_values_of(self, model: PlantModel, channel: int) -> "Estimate":
+        """The same unknowns at the values that a model has on a channel, within their bounds."""
+        values = [(u, model.value(u.name, channel)) for u in self.unknowns]
+        return self.at(np.array([u.q(min(max(value, u.low), u.high)) for u, value in values]))
+
     def from_given(self) -> "Estimate":
         """Known parameters as given, but those of the coil (the current determines them, whatever is missing behind), and
         effects as they are: known parameters that were fitted while an effect was missing have moved to make up for it."""
@@ -131,6 +136,14 @@ class Estimate:
         follow = {n: s for n, s in self.follow.items() if effect not in (_effect_of(n), _effect_of(s))}
         unknowns, label = [self.unknowns[j] for j in keep], f"without {effect}"
         return Estimate(self.channel, unknowns, self.q[keep], label, follow=follow)
+
+    def with_whole_orders(self) -> "Estimate | None":
+        """The same with every order held at the nearest whole number; None where no order is estimated."""
+        places = [j for j, u in enumerate(self.unknowns) if u.is_order and u.low < u.high]
+        unknowns, q = [*self.unknowns], self.q.copy()
+        for j in places:
+            unknowns[j], q[j] = unknowns[j].held(round(unknowns[j].value(q[j]))), 0.0
+        return replace(self.at(q), unknowns=unknowns) if places else None
 
     def improve(self, cost: float, q: Vector, simulated: Samples) -> None:
         """Moves to q, where the `simulated` samples have this cost, if that is lower."""

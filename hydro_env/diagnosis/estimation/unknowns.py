@@ -23,6 +23,9 @@ PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
 #: priors, exp(`PRIOR_SPREAD`): more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
+#: Scale of a number that is known: a step of derivatives changes nothing.
+HELD_SCALE = 1e-6
+
 #: First looks at an effect: sizes over the typical one, so near to each other that a step (`STEP_FACTORS`) leads from one to the
 #: next. What limits is first looked at with limits of the typical one over these:
 #: it acts nowhere but beyond its limit, so that from too far away no derivative leads there.
@@ -81,6 +84,15 @@ class Unknown:
         """Bounds of q."""
         return self.q(self.low), self.q(self.high)
 
+    @property
+    def is_order(self) -> bool:
+        """Whether it is a number of periods in a turn, of an effect that is sought."""
+        return bool(self.effect) and CATALOGUE[self.effect].parameter(self.parameter).role == "order"
+
+    def held(self, value: float) -> "Unknown":
+        """The same at a value that is known."""
+        return replace(self, center=value, low=value, high=value, scale=HELD_SCALE, log=False, prior=False)
+
     @cached_property
     def usual(self) -> tuple[float, float]:
         """The plausible values within one scale of the centre."""
@@ -129,7 +141,7 @@ def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
     friction. An angle at the beginning of a log is not known beforehand.
     """
     if p.role == "order":  # a number of teeth or pistons is known
-        return Unknown(name, p.unit, value, value, value, 1e-6, False, True)
+        return Unknown(name, p.unit, value, value, value, HELD_SCALE, False, True)
     low, high = min(p.low, value), max(p.high, value)
     if math.isinf(high):
         high = 20.0 * max(abs(value), abs(low))

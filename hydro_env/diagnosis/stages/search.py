@@ -10,7 +10,17 @@ from ..estimation.estimate import Estimate, Estimates
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from ..estimation.local_minima import grow_horizon
-from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, Correction, judge, penalty
+from .candidates import (
+    ACCEPTED,
+    AFTER_ROUNDS,
+    OUTDONE,
+    Accepted,
+    Candidate,
+    Correction,
+    judge,
+    penalty,
+    penalty_per_parameter,
+)
 from .form_correction import best_attempt
 from .screening import Screening
 
@@ -82,6 +92,7 @@ class Search:
         solve(self.fit, estimates, SETTLE_ITERATIONS)
         if self.fit.rig.has_hidden_states:
             solve(self.fit, grow_horizon(self.fit, estimates), SETTLE_ITERATIONS)
+            in_whole_orders(self.fit, estimates)
 
     def form_of(self, estimate: Estimate) -> Correction | None:
         """The estimate with the correction of form that explains most of what it leaves, with its price, if there is one."""
@@ -93,6 +104,24 @@ class Search:
         """The estimate with its best correction of form, if that pays."""
         form = self.form_of(estimate)
         return estimate if form is None or form.score >= estimate.cost else form.estimate
+
+
+def in_whole_orders(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Holds orders (periods in a turn) at the nearest whole numbers, in place, where that explains the logs no worse by more than
+    these parameters are worth.
+
+    Over many turns a small part of an order trades its angle for the displacement, so a fit ends where both are wrong.
+    """
+    held = {p: twin for p in estimates if (twin := p.with_whole_orders()) is not None}
+    given = {p: twin.from_given() for p, twin in held.items()}
+    solve(fit, [*held.values(), *given.values()], SETTLE_ITERATIONS)
+    for p, twin in held.items():
+        twin.adopt(given[p])
+        orders = sum(a is not b for a, b in zip(p.unknowns, twin.unknowns, strict=True))
+        if fit.gain(twin, p) < penalty_per_parameter(fit) * orders:
+            p.unknowns, p.q, p.cost, p.simulated, p.columns = (
+                twin.unknowns, twin.q, twin.cost, twin.simulated, twin.columns
+            )  # fmt: skip
 
 
 def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:

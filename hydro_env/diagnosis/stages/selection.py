@@ -6,10 +6,10 @@ by more than the penalty (`candidates.penalty`). The deviance counts independent
 compared with one that has an effect of the whole rig.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ...plant import CATALOGUE
+from ...plant import CATALOGUE, PlantModel
 from ..estimation.estimate import Estimate, Estimates, distinct, joined
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, SETTLE_ITERATIONS, solve
@@ -25,15 +25,26 @@ from .search import CHEAP_ITERATIONS, Search, short_refit
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full: a half, as above.
 WITHIN_REACH = 0.5
+#: No estimates.
+NONE: Mapping[int, Estimate] = {}
 #: Iterations of a full refit, one with each step of differences.
 FULL_ITERATIONS = len(DIFFERENCE_STEPS)
 
 
-def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
-    """Selects effects and estimates the noise again."""
+def run(
+    calibrated: Calibrated, screening: Sequence[Screening], former: PlantModel | None = None
+) -> Selection:
+    """Selects effects and estimates the noise again.
+
+    Those of the `former` model, which a diagnosis of some of the logs has found, compete.
+    """
     logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
     own = {c: copies[p] for c, p in calibrated.estimates.items()}
     search = select(Search(logs.fit, own, screening, logs.seconds, dict(own)))
+    if former is not None and logs.rig.has_hidden_states:
+        recall(search, former)
+    if logs.rig.has_hidden_states:
+        part(search)
     placebo = _placebos(search)
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, placebo
@@ -164,11 +175,16 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
         channels = [c for c in accepted if _worth_another(search, c)]
 
 
-def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
-    """One forward step on every channel; returns the channels on which an effect was accepted."""
+def _round(
+    search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int, known: Mapping[int, Estimate] = NONE
+) -> list[int]:  # fmt: skip
+    """One forward step on every channel, where `known` estimates compete as well; returns the channels on which an effect was
+    accepted."""
     fit, cheap = search.fit, search.fit.rig.simulation_is_cheap
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
     every = {c: _promising(search, c, screening, number, short) for c in channels}
+    for c, p in known.items():
+        every[c].append(p)
     every = {c: own for c, own in every.items() if own}
     short_refit(fit, [p for own in every.values() for p in own])
     refits = {c: _within_reach(search.present[c], own, full) for c, own in every.items()}
@@ -332,6 +348,65 @@ def drop_vanished(search: Search, estimate: Estimate) -> Estimate:
             search.drop(k, 0.0, "vanishes beside an effect of the whole rig", estimate)
             left = left.without(k.effect, k.channel)
     return left
+
+
+# --- what was found in fewer logs -------------------------------------------------------------------------------------------
+def recall(search: Search, former: PlantModel) -> None:
+    """Takes over the effects of a `former` model on the channels where these explain more than those of the search, by what the
+    effects of both must pay for: more logs have more local minima, so less of them may have shown what this search missed.
+
+    Each of these effects competes again for its place beside the others.
+    """
+    fit = search.fit
+    tries = {c: _formerly(search, former, c) for c, p in search.present.items() if p.channel is not None}
+    tries = {c: p for c, p in tries.items() if p is not search.calibrated[c]}
+    search.settle([*tries.values()])
+    for c, found in tries.items():
+        present, names = search.present[c], [k.effect for k in search.on(c)]
+        less, more = sorted((present, found), key=lambda p: p.cost)
+        ahead = fit.gain(less, more) if more is found else -fit.gain(less, more)
+        own = [e for e in found.effects() if not is_correction(e)]
+        ahead += sum(k.needed for k in search.on(c)) - sum(penalty(fit, e) for e in own)
+        if ahead <= 0.0:
+            continue
+        search.put(found)
+        if sorted(own) == sorted(names):
+            continue
+        for k in search.on(c):
+            search.drop(k, k.gain, OUTDONE, present)
+        for name in own:
+            _compete_again(search, c, name)
+        prefer_form(search)
+
+
+def part(search: Search) -> None:
+    """Has an accepted effect compete again beside the others of its channel where one of these competed with it before:
+    as both are there, neither stands for the other."""
+    for k in [*search.accepted]:
+        c, beside = k.channel, {other.effect for other in search.on(k.channel)}
+        if c is not None and search.present[c].channel == c and beside & {*k.competing}:
+            search.accepted.remove(k)
+            _compete_again(search, c, k.effect)
+
+
+def _compete_again(search: Search, c: int, name: str) -> None:
+    """A forward step for the place of one of the effects that a channel has, beside its others."""
+    whole = replace(search.present[c], label=name)
+    less = whole.without(name, c)
+    search.settle([less])
+    search.put(less)
+    beside = screen(search.fit, {c: less}, search.names, search.seconds, search.screening)
+    _round(search, [c], [k for k in beside if k.effect != name], 2, {c: whole})
+
+
+def _formerly(search: Search, former: PlantModel, c: int) -> Estimate:
+    """The calibrated estimate of a channel with the effects that a `former` model has there, at the values of that; the
+    calibrated one itself if it has none."""
+    found, acting = search.calibrated[c], former.effects
+    for k in search.screening:
+        if k.channel == c and k.effect in acting and not CATALOGUE[k.effect].is_neutral(acting[k.effect][c]):
+            found = found.with_effect(k.effect, k.start, c)
+    return found if found is search.calibrated[c] else found.at_values_of(former, c)
 
 
 # --- backward step ----------------------------------------------------------------------------------------------------------
