@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from hydro_env.diagnosis.experiment_design import (
 )
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.next_experiment import NextExperiment
+from hydro_env.diagnosis.stages.next_experiment import NextExperiment, max_load
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, simulate
 from hydro_env.practice.generate import make_practice
 from hydro_env.practice.manoeuvres import plans_of
@@ -198,3 +200,15 @@ def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Pat
     loads = np.column_stack([p.load for p in plans])
     np.testing.assert_allclose(loads, found.load, rtol=0.0, atol=0.00051)
     assert loads.any() and not any(p.closed.any() for p in plans)
+
+
+@pytest.mark.parametrize(
+    ("loads", "largest"), [((None, None), 0.0), ((None, np.array([-0.4, np.nan, 0.3])), 0.4)]
+)
+def test_loads_are_no_larger_than_those_of_the_logs(
+    loads: tuple[np.ndarray | None, ...], largest: float
+) -> None:
+    fit, held_out = ([SimpleNamespace(log=SimpleNamespace(load=load))] for load in loads)
+    logs = SimpleNamespace(fit=SimpleNamespace(settings=Settings()), held_out=SimpleNamespace(parts=held_out))
+    state: Any = SimpleNamespace(logs=logs, rig=SimpleNamespace(parts=fit))
+    assert max_load(state) == largest

@@ -225,6 +225,17 @@ def test_a_foreign_log_through_its_mapping(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.supply, [20e6, 20e6])
 
 
+def test_a_log_says_units_by_their_names(tmp_path: Path) -> None:
+    text = (
+        "schema: hydro_env/mapping/1\nname: lab\ntime: {column: t, unit: sec}\n"
+        "channel_1:\n  command: {column: U, unit: Volt}\n  speed: {column: n, unit: U/min}\n"
+    )
+    log = read_log(
+        write(tmp_path, "t,U,n\n0,0,0\n0.01,10,5\n0.02,10,12\n"), write(tmp_path, text, "map.yaml")
+    )
+    assert log.read_as == {"command_1": ("U", "V"), "speed_1": ("n", "rpm")}
+
+
 def test_a_sample_rate_replaces_the_time_column(tmp_path: Path) -> None:
     text = """schema: hydro_env/mapping/1
 time: {sample_rate: 200}

@@ -75,7 +75,9 @@ def max_load(state: Diagnosis) -> float:
     if state.logs.fit.settings.load_limit is not None:
         return state.logs.fit.settings.load_limit
     logs = [part.log.load for part in (*state.rig.parts, *state.logs.held_out.parts)]
-    return max(0.0, *(float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None))
+    return max(
+        (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
+    )
 
 
 # --- what is open -----------------------------------------------------------------------------------------------------
