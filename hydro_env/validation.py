@@ -126,4 +126,5 @@ def _explain(error: ValidationError) -> str:
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
     _, should, right = message.partition(" should ")
-    return f"{place} is {shown(first['input'])}, {f'should {right}' if should else message}"
+    found = "empty" if first["input"] is None else shown(first["input"])
+    return f"{place} is {found}, {f'should {right}' if should else message}"

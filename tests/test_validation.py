@@ -44,6 +44,7 @@ def test_numbers_that_yaml_takes_for_text_are_numbers() -> None:
         ({"part": {"size": 1, "kind": "squre"}}, "part.kind: unknown kind 'squre': did you mean 'square'?"),
         ({"part": {"size": 3}}, "part.size is 3, should be less than or equal to 2"),
         ({"part": {"size": "big"}}, "part.size is 'big', should be a number"),
+        ({"part": {"size": None}}, "part.size is empty, should be a number"),
         ({"part": {"size": float("nan")}}, "part.size is nan, should be a finite number"),
         ({"part": 3}, "part: expected a table of `name: value` lines, found 3"),
         ({"count": True}, "count is True, should be a number"),

@@ -51,7 +51,8 @@ def writing(out: Path) -> Iterator[Path]:
     with output_folder(out) as folder:
         yield folder
         written = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
-    print(f"{time.perf_counter() - start:.1f} s. Written to {out}: {', '.join(written)}")
+    told = f" Written to {out}: {', '.join(written)}" if written else ""
+    print(f"{time.perf_counter() - start:.1f} s.{told}")
 
 
 def numbers(option: str, text: str, within: Limits) -> tuple[float, ...]:

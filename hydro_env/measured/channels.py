@@ -11,7 +11,7 @@ from hydro_env.measured.log import RigLog
 from hydro_env.measured.mapping import LINES, USUAL_UNITS, Mapped, Mapping, quantity_of
 from hydro_env.measured.samples import MEASURED
 from hydro_env.reading import shipped_yaml
-from hydro_env.units import BAR, RPM, from_si, unit
+from hydro_env.units import BAR, RPM, from_si
 
 _VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
 _LIKE = 0.3  # a load pressure is the difference of the lines if it differs by less than this share of its own swing
@@ -55,7 +55,7 @@ def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
 
 
 def _size(log: RigLog, mapped: Mapped, peak: float) -> Iterator[Finding]:
-    kind, given = log.kinds[mapped.channel or 0], unit(mapped.source.unit).name
+    kind, given = log.kinds[mapped.channel or 0], mapped.source.unit
     name = USUAL_UNITS[quantity_of(mapped.signal, kind)].replace("mm/s", "m/s")
     peak = from_si(peak, name)
     driven = log.setpoint is not None and np.ptp(np.nan_to_num(log.setpoint)) > 0.0

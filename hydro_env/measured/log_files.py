@@ -76,9 +76,7 @@ def _log_of(table: Table, mapping: Mapping) -> RigLog:
         time_s=time_s[part],
         kinds=(one.actuator if one else "motor", two.actuator if two else "motor"),
         displacement=(one.size if one else None, two.size if two else None),
-        read_as={
-            f"{each.signal}_{each.number}": (each.column, unit(each.source.unit).name) for each in of_channels
-        },
+        read_as={f"{each.signal}_{each.number}": (each.column, each.source.unit) for each in of_channels},
         **{name: values[part] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     findings += check_units(table, mapping)

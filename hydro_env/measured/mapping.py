@@ -30,7 +30,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hydro_env.errors import InputError, nearest
 from hydro_env.measured.finding import Finding
@@ -41,6 +41,9 @@ from hydro_env.validation import FileTable, Number, checked
 #: How the command of a channel, and a signal, is described in a file.
 C = TypeVar("C")
 S = TypeVar("S")
+
+#: A unit in any of the usual spellings, kept by its name.
+UnitName = Annotated[str, AfterValidator(lambda given: unit(given).name)]
 
 SCHEMA = "hydro_env/mapping/1"
 #: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
@@ -78,7 +81,7 @@ class Part(FileTable):
     """One column in one unit; `full_scale` (SI) is the value at fraction 1 where the unit is fraction or percent."""
 
     column: str
-    unit: str
+    unit: UnitName
     sign: Literal[1, -1] = 1
     scale: Number = 1.0
     offset: Number = 0.0
