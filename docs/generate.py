@@ -907,7 +907,6 @@ def diagnosis_results() -> str:
     rigs, right = tables["four_edge_rigs"]["rows"][:2]
     for seed, total, count in zip(tables["four_edge_rigs"]["head"][1:], rigs[1:], right[1:], strict=True):
         rows.append(["rigs of another simulator", f"verdict and names right, {seed}", f"{count} of {total}"])
-    rows += [["next experiment", f"decided: {row[0]}", row[1]] for row in tables["next_experiment"]["rows"]]
     return _table(["test", "what is counted", "result"], rows)
 
 

@@ -10,7 +10,7 @@ hydro_env.experiments   the paper's experiments, speed, the demo
 
 from gymnasium.envs.registration import register as _register
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 __all__ = ["__version__"]
 
 # Actions change the command, as in the velocity form of a PID, so that a policy without memory can integrate.

@@ -1,6 +1,7 @@
 """What a dialogue decides: blind rigs that are asked up to three questions, and the same rigs with random experiments.
 
     python -m docs.evidence.dialogue --out DIR [--seed N] [--singles N] [--pairs N] [--empty N] [--minutes M] [--jobs N]
+                                     [--questions asked random ...]
 
 Each rig hides one effect (all of the catalogue in turn, small, medium and large), two, or none; base parameters are up to 15 %
 off the given model's but in every second rig without effects; noise, sizes and forms as in `blind_trials`. The first log is 6 s
@@ -9,18 +10,19 @@ rig plays 12 s that it asks for, with the sensor that it asks for, or random or 
 (`naming_methods.designs`). All logs are diagnosed together, beside what was found before, against the same held-out one.
 
 Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden. Rigs
-that DIR holds already are not run again. Writes dialogue.json and dialogue.md.
+that DIR holds already are not run again. Writes dialogue.json, dialogue.md and in paired.md how many questions each kind needs.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +30,15 @@ import numpy as np
 from scipy.stats import binomtest
 
 from agents.command import run_command
-from hydro_env.case.dialogue import recorded
+from hydro_env.case.dialogue import SURE, recorded
 from hydro_env.case.hypotheses import certainty, places_of
 from hydro_env.diagnosis import Diagnosis, diagnose
-from hydro_env.experiments.coverage import by_channel
+from hydro_env.errors import InputError
+from hydro_env.experiments.coverage import by_channel, given_names
 from hydro_env.experiments.naming_benchmark.dialogue import asked
 from hydro_env.files import write_json, write_text
 from hydro_env.limits import CORES, SEEDS, Limits
+from hydro_env.parallel import Failure, as_done
 from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import PLAYED, make_practice
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
@@ -56,12 +60,11 @@ GROUPS = ("single", "pair", "empty")
 
 @dataclass(frozen=True)
 class Rig:
-    """A practice rig that is asked: its `folder`, the settings of its logs, and what it hides; threads of a diagnosis."""
+    """A practice rig that is asked: its `folder`, the settings of its logs, and what it hides."""
 
     folder: Path
     settings: Mapping[str, Any]
     truth: Mapping[str, Any]
-    jobs: int
 
     def diagnosed(
         self, answers: Sequence[Path] = (), former: PlantModel | None = None
@@ -69,7 +72,7 @@ class Rig:
         """What the first log and `answers` show beside the `former` model, and how many seconds that took."""
         begin, model = time.perf_counter(), self.folder / "model.yaml"
         logs, sealed = [self.folder / f"{FIRST}.csv", *answers], [self.folder / f"{HELD_OUT}.csv"]
-        found = diagnose(logs, sealed, model=model, former=former, jobs=self.jobs)
+        found = diagnose(logs, sealed, model=model, former=former)
         return found, time.perf_counter() - begin
 
     def played(self, name: str, commands: str, record: Sequence[str]) -> Path:
@@ -82,7 +85,7 @@ class Rig:
         return self.folder / name / f"{PLAYED}.csv"
 
 
-def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
+def run_rig(rig: Mapping[str, Any], kinds: Sequence[str] = tuple(KINDS)) -> dict[str, Any]:
     """One rig with each kind of questions: what was found after every log."""
     settings = {
         "effects": rig["hidden"], "base_error": rig["base_error"], "severity": rig["severity"], "duration": LOG_SECONDS,
@@ -91,9 +94,9 @@ def run_rig(rig: Mapping[str, Any], jobs: int = 1) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_practice(**settings, runs=(FIRST, HELD_OUT)).write(folder)
-        own = Rig(folder, settings, read_json(folder / "truth.json", "a practice rig"), jobs)
+        own = Rig(folder, settings, read_json(folder / "truth.json", "a practice rig"))
         first = own.diagnosed()
-        rounds = {kind: _rounds(own, kind, *first) for kind in KINDS}
+        rounds = {kind: _rounds(own, kind, *first) for kind in kinds}
     return {**rig, "method": method(), **rounds}
 
 
@@ -116,7 +119,8 @@ def _rounds(rig: Rig, kind: str, found: Diagnosis, seconds: float) -> list[dict[
 
 def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
     data, places = found.as_dict(), places_of(found)
-    judged = judge(data, by_channel(truth["effects"]), truth["verdict"])
+    hidden = by_channel(truth["effects"])
+    judged = judge(data, hidden, truth["verdict"])
     tied = any(e["indistinguishable_from"] for e in data["effects"])
     names = [[e["name"], e["channel"], e["probability"]] for e in data["effects"]]
     exact = judged["right"] and not found.best_guess and not tied
@@ -124,7 +128,8 @@ def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
         exact = not names and data["verdict"] in ("none", "calibration")
     return {
         "verdict": data["verdict"], "names": names, "exact": exact, "set": judged["set"], "alarm": judged["alarm"],
-        "certainty": certainty(places), "best_guess": found.best_guess, "covered": covered(data, truth),
+        "given": given_names(data["effects"], hidden), "certainty": certainty(places), "best_guess": found.best_guess,
+        "covered": covered(data, truth),
     }  # fmt: skip
 
 
@@ -146,31 +151,34 @@ def rigs(seed: int, singles: int, pairs: int, empty: int) -> Iterator[dict[str, 
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Counts in Markdown by group and kind of questions, and how often either needs fewer questions."""
+    """Counts in Markdown by group and kind of questions."""
     head = [
-        "rigs",
-        "questions",
-        "exact at first",
-        *(f"after {n + 1}" for n in range(QUESTIONS)),
-        "false names",
-        "asked, mean",
-    ]
+        "rigs", "questions", "exact at first", *(f"after {n + 1}" for n in range(QUESTIONS)), "false names", "asked, mean",
+        "names of 0.9 and more that are right", "true values inside 90 % intervals: effects, base parameters",
+    ]  # fmt: skip
     cells = []
     for group in GROUPS:
         own = [r for r in rows if r["group"] == group]
-        for kind in KINDS if own else ():
+        for kind in [k for k in KINDS if own and k in own[0]]:
             exact = [sum(_after(r[kind], n)["exact"] for r in own) for n in range(QUESTIONS + 1)]
-            alarms = sum(_after(r[kind], QUESTIONS)["alarm"] for r in own)
-            mean = np.mean([len(r[kind]) - 1 for r in own])
-            cells.append([f"{group}: {len(own)}", kind, *exact, alarms, f"{mean:.2f}"])
-    return "\n".join([*markdown(head, cells), "", paired(rows)]) + "\n"
+            last = [_after(r[kind], QUESTIONS) for r in own]
+            sure = [right for each in last for p, right in each["given"] if p >= SURE]
+            inside = ", ".join(
+                f"{sum(e['covered']['at_90'][k] for e in last)} of {sum(e['covered'][k][1] for e in last)}"
+                for k in ("effects", "base")
+            )
+            cells.append([
+                f"{group}: {len(own)}", kind, *exact, sum(e["alarm"] for e in last),
+                f"{np.mean([len(r[kind]) - 1 for r in own]):.2f}", f"{sum(sure)} of {len(sure)}", inside,
+            ])  # fmt: skip
+    return "\n".join(markdown(head, cells)) + "\n"
 
 
 def paired(rows: Sequence[Mapping[str, Any]]) -> str:
     """How many questions each kind needs until a rig is exact, beside those that are asked; one more than there are where it
     never is."""
-    own, *others = KINDS
-    needed = [{kind: _needed(r[kind]) for kind in KINDS} for r in rows if not r[own][0]["exact"]]
+    own, *others = [kind for kind in KINDS if rows and kind in rows[0]]
+    needed = [{kind: _needed(r[kind]) for kind in (own, *others)} for r in rows if not r[own][0]["exact"]]
     text = []
     for kind in others if needed else ():
         fewer, more = (sum((n[own] - n[kind]) * sign > 0 for n in needed) for sign in (-1, 1))
@@ -200,28 +208,34 @@ def main() -> None:
         name = f"--{group}" if group == "empty" else f"--{group}s"
         parser.add_argument(name, type=Limits(0, 1000, whole=True), default=count, help="rigs of this group")
     parser.add_argument("--minutes", type=Limits(0.0, 1e6, unit="min"), default=math.inf)
-    parser.add_argument("--jobs", type=CORES, default=1, help="threads of a diagnosis")
+    parser.add_argument("--jobs", type=CORES, default=1, help="processes")
+    parser.add_argument("--questions", nargs="+", choices=KINDS, default=[*KINDS], help="kinds of questions")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     path, end = given.out / "dialogue.json", time.monotonic() + 60.0 * given.minutes
     rows = (
         read_json(path, "the rigs of a run", max_bytes=MAX_BYTES_OF_RESULTS)["rows"] if path.exists() else []
     )
-    for rig in rigs(given.seed, given.singles, given.pairs, given.empty):
-        if any(r["seed"] == rig["seed"] for r in rows):
-            continue
-        if time.monotonic() > end:
-            break
-        rows.append(run_rig(rig, given.jobs))
-        write_json(path, {"schema": SCHEMA, "rows": rows})
-        last = {kind: rows[-1][kind][-1] for kind in KINDS}
-        said = [
-            f"{k} {len(rows[-1][k]) - 1}: {r['names']} {'exact' if r['exact'] else ''}"
-            for k, r in last.items()
-        ]
-        print(rig["seed"], rig["hidden"], " | ".join(said), file=sys.stdout, flush=True)
+    done = {r["seed"] for r in rows}
+    left = [r for r in rigs(given.seed, given.singles, given.pairs, given.empty) if r["seed"] not in done]
+    with closing(as_done(left, partial(run_rig, kinds=given.questions), jobs=given.jobs)) as finished:
+        for place, row in finished:
+            if isinstance(row, Failure):
+                raise InputError(f"rig {left[place]['seed']}: {row}")
+            rows.append(row)
+            write_json(path, {"schema": SCHEMA, "rows": rows})
+            print(row["seed"], row["hidden"], " | ".join(_said(row, k) for k in given.questions), flush=True)
+            if time.monotonic() > end:
+                break
+    rows.sort(key=lambda r: r["seed"])
     write_text(given.out / "dialogue.md", table(rows))
-    print(table(rows), end="")
+    write_text(given.out / "paired.md", paired(rows) + "\n")
+    print(table(rows), paired(rows), sep="\n")
+
+
+def _said(row: Mapping[str, Any], kind: str) -> str:
+    last = row[kind][-1]
+    return f"{kind} {len(row[kind]) - 1}: {last['names']} {'exact' if last['exact'] else ''}"
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from .naming_methods.methods import METHODS as COMPARED
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = "hydro_env/measured/1"
-#: Seed of blind trials and of next experiments: one that nobody has looked at, another one for each release.
+#: Seed of naming benchmark, blind trials and dialogues: one that nobody has looked at, another one for each release.
 BLIND_SEED = 1_000_000
 
 
@@ -225,15 +225,18 @@ STEPS = {
         ["baselines=baselines.md", "line_to_beat=line_to_beat.md"],
         {"baselines.png": "docs/images", "baselines.json": "docs/images"},
     ),
-    "next_experiment": Step(
-        [f"{{python}} -m docs.evidence.next_experiment --seed {BLIND_SEED} --rigs 16 --jobs 2 --out ."],
-        ["next_experiment=next_experiment.md"],
-    ),
     "blind_trials": Step(
         [
             f"{{python}} -m docs.evidence.blind_trials --seed {BLIND_SEED} --jobs 2 --out .",
             "{python} -m docs.evidence.blind_trials --out . --write {root}/docs/evidence",
         ],
+    ),
+    "dialogue": Step(
+        [
+            f"{{python}} -m docs.evidence.dialogue --seed {BLIND_SEED + 100_000} --singles 36 --pairs 20 --empty 16"
+            " --questions asked random --jobs 2 --out ."
+        ],
+        ["dialogue=dialogue.md"],
     ),
 }  # fmt: skip
 

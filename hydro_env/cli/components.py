@@ -7,7 +7,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from hydro_env.cli.options import Out, Pictures, number, numbers, writing
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, located
 from hydro_env.limits import Limits
 
 SWEEP = Limits(0.5, 3600.0, unit="s")
@@ -45,7 +45,9 @@ def describe(
     with writing(out) as folder:
         if answers:
             write_text(folder / "data_sheet.yaml", answers)
-        print(data_sheet.write(data_sheet.describe(given), folder))
+        with located(sheet or "the answers"):
+            described = data_sheet.describe(given)
+        print(data_sheet.write(described, folder))
 
 
 def valve_test(

@@ -83,7 +83,7 @@ class Valve(_Table):
 class Motor(_Table):
     """A motor."""
 
-    displacement_cm3: Positive = _key("displacement, cm3 a revolution", ...)
+    displacement_cm3: Annotated[Number, Field(ge=0.7, le=1e6)] = _key("displacement, cm3 a revolution", ...)
     kind: Literal["gear", "orbital", "piston"] | None = _key("kind of motor")
     inertia_kgm2: Positive | None = _key("inertia of motor and load together, kg m2")
     volumetric_efficiency_percent: Efficiency | None = _key("volumetric efficiency, %")
@@ -98,7 +98,7 @@ class Motor(_Table):
 class Supply(_Table):
     """The supply of both valves."""
 
-    pressure_bar: Positive = _key("supply pressure, bar", ...)
+    pressure_bar: Annotated[Number, Field(ge=1.0, le=1000.0)] = _key("supply pressure, bar", ...)
     kind: Literal["pressure_compensated", "fixed_pump", "accumulator"] | None = _key(
         "pressure-compensated pump, fixed pump with relief valve, or accumulator"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -61,6 +62,15 @@ def test_command_writes_a_model_that_loads_without_a_word(tmp_path: Path) -> Non
     assert data["schema"] == "hydro_env/describe/1" and data["assumptions"]
 
 
+def test_a_sheet_of_no_model_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = SHEETS[0].read_text(encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(
+        re.sub(r"rated_flow_lpm: \S+", "rated_flow_lpm: 90000", text), encoding="utf-8"
+    )
+    assert cli.run(["describe", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "rig")]) == 2
+    assert "rig.yaml: no model has these values" in capsys.readouterr().err
+
+
 def test_least_sheet_is_enough_and_what_it_lacks_is_said(least: Described) -> None:
     keys = {row.key for row in least.assumptions}
     assert {"dead_band_percent", "hysteresis_percent", "inertia_kgm2", "edges", "bore_mm"} <= keys
@@ -103,6 +113,8 @@ def test_second_valve_is_its_own() -> None:
         ("valve", {"rated_command_V": None}, "rated_command_V or rated_command_mA is missing"),
         ("valve", {"rated_command_mA": 1000, "coil_resistance_Ohm": 100}, "1000 mA through 100 Ohm"),
         ("motor", {"volumetric_efficiency_percent": 110}, "motor.volumetric_efficiency_percent is 110"),
+        ("motor", {"displacement_cm3": 0.032}, "motor.displacement_cm3 is 0.032"),
+        ("supply", {"pressure_bar": 14000}, "supply.pressure_bar is 14000"),
         ("supply", {"relief_bar": 50}, "below the supply pressure"),
     ],
 )  # fmt: skip

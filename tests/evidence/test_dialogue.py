@@ -6,10 +6,20 @@ from typing import Any
 
 from docs.evidence.dialogue import GROUPS, paired, rigs, table
 
+COUNTS = {"base": 8, "effects": 1}
+
 
 def _row(group: str, asked: list[bool], random: list[bool]) -> dict[str, Any]:
     rounds = {
-        kind: [{"exact": each, "alarm": False} for each in own]
+        kind: [
+            {
+                "exact": each,
+                "alarm": False,
+                "given": [[0.95, each]],
+                "covered": {"at_90": COUNTS, "base": [9, 9], "effects": [2, 2]},
+            }
+            for each in own
+        ]
         for kind, own in (("asked", asked), ("random", random), ("d_optimal", random))
     }
     return {"group": group, **rounds}
@@ -24,7 +34,7 @@ def test_questions_are_counted_until_a_rig_is_exact() -> None:
     assert paired(rows).startswith(
         "Of 2 open rigs asked questions need fewer than random ones in 1, more in 1 (p = 1); mean 1.50 and 2.50"
     )
-    assert "| single: 2 | asked | 1 | 2 | 2 | 2 | 0 | 0.50 |" in table(rows)
+    assert "| single: 2 | asked | 1 | 2 | 2 | 2 | 0 | 0.50 | 2 of 2 | 2 of 4, 16 of 18 |" in table(rows)
 
 
 def test_a_run_that_is_stopped_has_rigs_of_every_group() -> None:
