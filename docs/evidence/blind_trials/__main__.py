@@ -12,7 +12,6 @@ from hydro_env.limits import CORES, SEEDS, Limits
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
 from .judging import summary
-from .reliability import draw, of_trials
 from .rules import RULES
 from .running import Running, practice_logs, rows_of, run_trials
 from .tables import publish
@@ -62,12 +61,6 @@ def _arguments() -> argparse.Namespace:
         action="store_true",
         help="compares all trials without a rule with those with it; runs nothing",
     )
-    add(
-        "--reliability",
-        type=Path,
-        metavar="FILE.png",
-        help="draws probabilities against shares; runs nothing",
-    )
     add("--write", type=Path, help="folder that trials.json is published to; runs nothing")
     given = parser.parse_args()
     if given.make and given.logs is None:
@@ -87,8 +80,6 @@ def main() -> None:
     given = _arguments()
     if given.write is not None:
         publish(rows_of(given.out), given.write)
-    elif given.reliability is not None:
-        draw(of_trials(rows_of(given.out)), given.reliability)
     elif given.ablation:
         print(ablation_table(write_ablation(given.out)), end="")
     elif given.make:

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydro_env.experiments.coverage import reliability_lines
+from hydro_env.experiments.coverage import Point, given_names, reliability_lines
 from hydro_env.files import write_text
 
 from .cases import GROUPS, WITH_NAME, commands
 from .judging import HELD_OUT_WITHIN, summary
-from .reliability import of_trials
 from .running import SCHEMA
 
 Row = Mapping[str, Any]
@@ -24,6 +23,15 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[object]]) -> list[st
     return [lines[0], "|" + "---|" * len(header), *lines[1:]]
 
 
+def _names(rows: Sequence[Row]) -> dict[str, list[Point]]:
+    """The names of all trials by whether they were confirmed: "answers" and "guesses"."""
+    found: dict[str, list[Point]] = {"answers": [], "guesses": []}
+    for r in rows:
+        hidden = {(n, c or "rig") for n, _, c in (word.partition(":") for word in r["hidden"])}
+        found["answers" if r["verdict"] == "effects" else "guesses"] += given_names(r["effects"], hidden)
+    return found
+
+
 def share(count: int, of: int) -> str:
     return f"{count} of {of} ({100 * count / of:.0f} %)" if of else "-"
 
@@ -33,7 +41,7 @@ def table(rows: Sequence[Row]) -> str:
     made = " and ".join(f"`{command}`" for command in commands(rows))
     parts = [
         [f"Made by {made}; {len(rows)} trials."], _criteria(rows), _groups(rows), _coverage(rows),
-        reliability_lines(of_trials(rows)), _methods(rows), ["Trials that were not simply correct:"], _wrong(rows),
+        reliability_lines(_names(rows)), _methods(rows), ["Trials that were not simply correct:"], _wrong(rows),
         _processor_time(rows), *_elapsed(rows), _rough(rows),
     ]  # fmt: skip
     return "\n\n".join("\n".join(part) for part in parts if part) + "\n"
