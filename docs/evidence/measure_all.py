@@ -141,6 +141,17 @@ def _four_edges(folder: Path) -> None:
     _table(folder / "four_edge_rigs.md", ["count", "seed 1", "seed 2"], rows)
 
 
+def _any_rig(folder: Path) -> None:
+    rows = []
+    for name in ("drawn", "paper"):
+        own = list(read_json(folder / name / "names.json", "rigs that were examined").values())
+        named, among = (f"{sum(r[key] for r in own)} of {len(own)}" for key in ("right", "set"))
+        missed = ", ".join(f"`{r['hidden'][0]}`" for r in own if not r["set"])
+        rows.append(["drawn" if name == "drawn" else f"`{name}`", named, among, missed])
+    head = ["plant", "effect named", "or listed as indistinguishable from the named one", "missed"]
+    _table(folder / "any_rig.md", head, rows)
+
+
 def _two_tables(folder: Path) -> None:
     """The second table of close_loop.md, of the rigs, in a file of its own."""
     blocks, current = [], []
@@ -230,6 +241,13 @@ STEPS = {
             f"{{python}} -m docs.evidence.blind_trials --seed {BLIND_SEED} --jobs 2 --out .",
             "{python} -m docs.evidence.blind_trials --out . --write {root}/docs/evidence",
         ],
+    ),
+    "any_rig": Step(
+        [
+            f"{{python}} -m docs.evidence.any_rig --name --seed {BLIND_SEED + 200_000} --rigs 34 {words}"
+            for words in ("--out drawn", "--plant paper --out paper")
+        ],
+        ["any_rig=any_rig.md"], tables=_any_rig,
     ),
     "dialogue": Step(
         [
