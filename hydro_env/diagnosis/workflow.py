@@ -130,7 +130,7 @@ def _find(
 
     def judged(chosen: Selection) -> Confirmed:
         first = do(verdict.decide, calibrated, chosen)
-        models = do(form_correction.run, calibrated.given, chosen, first, forms, former)
+        models = do(form_correction.run, calibrated.given, chosen, first, forms)
         shown = do(uncertainty.run, logs, do(uncertainty.settle, logs, models.shown))
         models = models.with_shown(shown)
         return do(verdict.confirm, chosen, first, models, do(validation.run, logs, models))

@@ -11,13 +11,11 @@ import pytest
 from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.estimation.fit import Fit
-from hydro_env.diagnosis.estimation.gauss_newton import solve
-from hydro_env.diagnosis.logs import Logs
-from hydro_env.diagnosis.stages import form_correction, search, selection
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, OUTDONE, Accepted, Candidate, Selection, penalty
+from hydro_env.diagnosis.stages import search, selection
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, OUTDONE, Accepted, Candidate, penalty
 from hydro_env.diagnosis.stages.screening import screen
 from hydro_env.diagnosis.stages.search import Search, in_whole_orders
-from hydro_env.diagnosis.stages.selection import part, recall
+from hydro_env.diagnosis.stages.selection import recall
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of
@@ -72,21 +70,6 @@ def test_what_was_found_before_and_explains_no_more_is_forgotten(channel: int) -
     assert [k.effect for k in own.accepted] == [ALONE] and own.present[0] is present
 
 
-def test_what_competed_with_an_effect_that_is_there_too_is_no_tie() -> None:
-    own = _search({FORMER[0]: 0.23, FORMER[1]: 0.17})
-    recall(own, MODEL)
-    first, second = own.accepted
-    own.accepted[0] = replace(first, competing={second.effect: 3.0, ALONE: 5.0})
-    before = own.present[0].cost
-    part(own)
-    assert [k.effect for k in own.accepted] == [second.effect, first.effect]
-    assert own.accepted[0] is second and second.effect not in own.accepted[1].competing
-    assert own.present[0].cost <= before + 1e-6
-    again = [*own.accepted]
-    part(own)
-    assert own.accepted == again
-
-
 def _ripple(order: float) -> tuple[Fit, Estimate]:
     """A ripple of this order, fitted with the order as a real number."""
     curves = {"displacement_ripple.amplitude": FIRST, "displacement_ripple.order": SECOND}
@@ -117,31 +100,3 @@ def test_names_of_fewer_logs_are_found_again(tmp_path: Path) -> None:
     first.model.to_yaml(tmp_path / "found.yaml")
     both = diagnose([one, two], [sealed], model=tmp_path / "model.yaml", former=tmp_path / "found.yaml")
     assert [(e.name, e.channel) for e in both.effects] == [("dead_zone", "1")]
-
-
-@pytest.mark.parametrize(("former", "kept"), [(0.2, ["opening_form"]), (0.0, []), (None, [])])
-def test_a_form_that_was_found_before_takes_part(
-    former: float | None, kept: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Here the search for forms finds none, as in a local minimum."""
-    monkeypatch.setattr(form_correction, "correct_all", lambda fit, found, *_: (dict(found), []))
-    curves = {
-        "flow_gain_nonlinearity.curvature": FIRST,
-        "opening_form.gain_2": SECOND,
-        "opening_form.gain_4": THIRD,
-    }
-    truth = dict(zip(curves, (0.5, 0.25, 0.1), strict=True))
-    fit, base = logged(curves, truth, ROWS)
-    named = base.with_effect(ALONE, {"curvature": 0.4}, 0)
-    solve(fit, [named], 4)
-    logs = Logs(fit, fit.rig, fit.rig)
-    own = Selection(logs, {0: base}, {0: named}, [Accepted(ALONE, 0, 500.0, 30.0)], [], {})
-    values = {f"{ALONE}.curvature": (0.45, 0.0), "opening_form.gain_2": (former, 0.0)}
-    model = None if former is None else load_model("paper").with_values(values)
-    models = form_correction.run({0: base}, own, "effects", [], model)
-    assert [k.correction for k in models.corrections] == kept
-    assert models.named[0] is named and (models.final[0] is named) == (not kept)
-    if kept:
-        found = models.final[0].values(0)
-        assert [found[name] for name in curves] == pytest.approx([0.5, 0.25, 0.1], abs=0.01)
-        assert models.corrections[0].fall > models.corrections[0].needed

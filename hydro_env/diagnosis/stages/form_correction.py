@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect, PlantModel
+from ...plant import CATALOGUE, Effect
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 from ..estimation.estimate import Estimate, Estimates, distinct
 from ..estimation.fit import Fit
@@ -92,47 +92,15 @@ def of_given(calibrated: Calibrated) -> tuple[Calibrated, list[Correction]]:
     return replace(calibrated, logs=replace(logs, fit=fit), estimates=found, plain=plain), every
 
 
-def run(
-    given: Estimates, selection: Selection, verdict: str, before: Sequence[Correction], former: PlantModel | None = None
-) -> Models:  # fmt: skip
-    """Corrects the form of what is named or given; `before` are the corrections that the calibrated estimates have.
-
-    Those of the `former` model, as in `diagnose`, take their place where they explain more.
-    """
+def run(given: Estimates, selection: Selection, verdict: str, before: Sequence[Correction]) -> Models:
+    """Corrects the form of what is named or given; `before` are the corrections that the calibrated estimates have."""
     fit, found = selection.logs.fit, selection.estimates
     final, corrections = (given, []) if verdict == "none" else (found, [*before])
     if verdict in ("effects", "calibration"):
         named = [(k.effect, k.channel) for k in selection.accepted]
         final, more = correct_all(fit, found, named, selection.forms)
-        for c, p in final.items():
-            kept = [k for k in more if k.channel == c]
-            own = [placed for placed in named if placed[1] == c]
-            again = [] if former is None else _formerly(fit, found[c], own, former)
-            if again and again[-1].estimate.cost + _needed(again) < p.cost + _needed(kept):
-                final = {**final, c: again[-1].estimate}
-                more = [*(k for k in more if k.channel != c), *again]
         corrections += more
     return Models(given, selection.calibrated, found, final, selection.placebo, corrections)
-
-
-def _needed(corrections: Sequence[Correction]) -> float:
-    return sum(k.needed for k in corrections)
-
-
-def _formerly(fit: Fit, bare: Estimate, named: Sequence[Placed], former: PlantModel) -> list[Correction]:
-    """The corrections of form that a `former` model has of effects `named` on one channel, refitted jointly from its values; the
-    last one has the estimate with all of them."""
-    found: list[Correction] = []
-    p, acting = bare, former.effects
-    for effect, c in named if bare.channel is not None else ():
-        for name, repeated in CORRECTIONS.get(effect, {}).items():
-            new = name in acting and not fit.rig.has(name, c) and (name, c) not in p.placed_effects()
-            if new and c is not None and not CATALOGUE[name].is_neutral(acting[name][c]):
-                p = with_correction(p, effect, effect_in(fit.rig, name, c), c).at_values_of(former, c)
-                own = len(CATALOGUE[name].parameters) - len(repeated)
-                found.append(Correction(effect, c, name, p, penalty_per_parameter(fit) * own))
-    solve(fit, [p] if found else [], SETTLE_ITERATIONS)
-    return [replace(k, fall=bare.cost - p.cost) for k in found]
 
 
 def is_correction(effect: str) -> bool:

@@ -43,8 +43,6 @@ def run(
     search = select(Search(logs.fit, own, screening, logs.seconds, dict(own)))
     if former is not None and logs.rig.has_hidden_states:
         recall(search, former)
-    if logs.rig.has_hidden_states:
-        part(search)
     placebo = _placebos(search)
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, placebo
@@ -377,16 +375,6 @@ def recall(search: Search, former: PlantModel) -> None:
         for name in own:
             _compete_again(search, c, name)
         prefer_form(search)
-
-
-def part(search: Search) -> None:
-    """Has an accepted effect compete again beside the others of its channel where one of these competed with it before:
-    as both are there, neither stands for the other."""
-    for k in [*search.accepted]:
-        c, beside = k.channel, {other.effect for other in search.on(k.channel)}
-        if c is not None and search.present[c].channel == c and beside & {*k.competing}:
-            search.accepted.remove(k)
-            _compete_again(search, c, k.effect)
 
 
 def _compete_again(search: Search, c: int, name: str) -> None:
