@@ -201,7 +201,7 @@ _Channel = dict[Annotated[str, known("signal", _SIGNALS)], Annotated[_Variable, 
 class _Mapping(FileTable):
     FORMAT = SCHEMA
 
-    rated: Number | None = None
+    rated: Annotated[Number, Field(gt=0.0)] | None = None
     start: dict[str, Number] = Field(default_factory=dict)
     model: str = ""
     channel_1: _Channel

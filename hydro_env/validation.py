@@ -86,7 +86,8 @@ class FileTable(BaseModel):
         if isinstance(data, cls):
             return data
         if not isinstance(data, Mapping):
-            raise ValueError(f"expected a table of `name: value` lines, found {shown(data)}")
+            found = "nothing" if data is None else shown(data)
+            raise ValueError(f"expected a table of `name: value` lines, found {found}")
         check_known("unknown key", data, cls.known_keys())
         return dict(data)
 

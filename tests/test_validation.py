@@ -60,7 +60,7 @@ def test_the_first_mistake_is_one_line(change: dict[Any, Any], said: str) -> Non
     assert str(caught.value).startswith(f"a.yaml: {said}")
 
 
-@pytest.mark.parametrize("data", [None, [], 3, "text"])
-def test_what_is_no_table_is_refused(data: Any) -> None:
-    with pytest.raises(InputError, match=r"a\.yaml: expected a table"):
+@pytest.mark.parametrize(("data", "found"), [(None, "nothing"), ([], r"\[\]"), (3, "3"), ("text", "'text'")])
+def test_what_is_no_table_is_refused(data: Any, found: str) -> None:
+    with pytest.raises(InputError, match=rf"a\.yaml: expected a table .*, found {found}$"):
         checked(Whole, data, "a.yaml")

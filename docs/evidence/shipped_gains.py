@@ -53,7 +53,7 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         kept = read_gains(path)
         if origin.items() <= kept.tuning.items():
             return kept
-    out.mkdir(parents=True, exist_ok=True)  # before hours of work
+    out.mkdir(parents=True, exist_ok=True)  # before minutes of work
     own = search(Search(task, seed, PERIOD, progress=progress))
     found = [
         search(Search(task, seed, period, progress=progress), [own["gains"]]) for period in OTHER_PERIODS

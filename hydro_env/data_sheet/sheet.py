@@ -212,6 +212,9 @@ def _asked(key: str, field: FieldInfo) -> Any:
         text = input(f"  {field.description}{_choices(field)}{needed}: ").strip()
         if not text and not needed:
             return None
+        if not text:
+            print("  an answer is needed")
+            continue
         try:
             value = text if field.annotation is str else parse_yaml(text, key)
             kind.validate_python(value)

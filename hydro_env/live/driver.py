@@ -11,7 +11,7 @@ from hydro_env.arrays import Floats
 from hydro_env.controllers import Controller, make_controller
 from hydro_env.controllers.rollout import inform
 from hydro_env.envs.observation import FRAME, OBSERVATION, Measurements, encode
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, located
 from hydro_env.live.link import Link, Sample
 from hydro_env.plant import Plant, PlantModel, scales_of
 from hydro_env.practice.manoeuvres import plans_of
@@ -54,7 +54,9 @@ def controlled(
     scales, setpoint, cycles = scales_of(model), None, None
     if scenario is not None:
         named = scenario if not Path(scenario).suffix else read_yaml(scenario, "a scenario in YAML")
-        table = load_scenario(named, scales).reference(link.cycle_s, np.random.default_rng(0)).setpoint
+        with located(scenario):
+            profile = load_scenario(named, scales)
+        table = profile.reference(link.cycle_s, np.random.default_rng(0)).setpoint
         setpoint, cycles = (lambda n: float(table[n])), len(table)
     elif link.setpoint is None:
         raise InputError("no set-point: name `setpoint` in the link file, or give --scenario")

@@ -173,7 +173,8 @@ class Run:
         if supervisor.state is not self._shown:
             self._shown = supervisor.state
             self.log.event(state=supervisor.state, cause=supervisor.cause, after_s=round(now - self._born, 3))
-            self.told(f"{supervisor.state}{': ' * bool(supervisor.cause)}{supervisor.cause}")
+            end = f": {supervisor.cause}; zero is written until Ctrl-C" if supervisor.cause else ""
+            self.told(f"{supervisor.state}{end}")
 
 
 def _said(problem: OSError) -> str:

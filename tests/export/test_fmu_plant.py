@@ -133,6 +133,9 @@ def test_the_rated_command(units: list[Path], rig: Path, tmp_path: Path) -> None
     for change, rated in (("rated: 12", 12.0), ("", 22.8), ("start: {channel_1.u_rated: 15}", 15.0)):
         mapping.write_text(plain.replace("rated: 73\nstart: {channel_2.Kq: 0.3}", change))
         assert load_fmu(rig, mapping, trust=True).value("u_rated", 0) == rated
+    mapping.write_text(plain.replace("rated: 73", "rated: -73"))
+    with pytest.raises(InputError, match=r"mapping\.yaml: rated is -73, should be greater than 0"):
+        load_fmu(rig, mapping, trust=True)
     theirs = renamed(units[0], tmp_path / "theirs.fmu", b".u_rated", b".something")
     mapping.write_text(plain.replace("rated: 73\n", ""))
     with pytest.raises(InputError, match="rated is missing"):

@@ -87,6 +87,10 @@ def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
         controlled("oracle", bare(), MODEL, "sine", (0.2, 2.0))
     with pytest.raises(InputError, match="no set-point"):
         controlled("pid_tuned", bare(), MODEL, None, (0.2, 2.0))
+    profile = tmp_path / "profile.yaml"
+    profile.write_text("{steps: [], duration: 20}")
+    with pytest.raises(InputError, match=r"profile\.yaml: .*unknown key 'steps'"):
+        controlled("pid_tuned", bare(), MODEL, str(profile), (0.2, 2.0))
     own = tmp_path / "own.py"
     own.write_text(
         "class Own:\n    def reset(self, n, period): ...\n    def act(self, observation):\n        return 1 / 0\n"

@@ -56,7 +56,8 @@ class Attempt:
     """A run in a thread of its own."""
 
     def __init__(self, link: Link, driver: Driver, out: Path, **more: Any) -> None:
-        self.run = Run(link, driver, out, RATED_V, told=lambda line: None, **more)
+        self.told: list[str] = []
+        self.run = Run(link, driver, out, RATED_V, told=self.told.append, **more)
         self.problem: BaseException | None = None
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -145,6 +146,7 @@ def test_a_fault_closes_the_valves_in_time_and_stays(rig: Rig, tmp_path: Path, n
     attempt.until(lambda: len(rig.applied) > opened + 8)
     cause = attempt.end()
     assert said in cause
+    assert attempt.told[-1] == f"fault: {cause}; zero is written until Ctrl-C"
     took = rig.closed_after(broken)
     assert took <= link.stop_s + (link.frozen_after("speed_1") if name == "frozen" else 0.0) + BUSY
     events = (tmp_path / "log_1.jsonl").read_text().splitlines()
