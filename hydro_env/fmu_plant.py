@@ -20,6 +20,7 @@ environment's. An FMU has valves of its own, so there is nothing to draw: the sp
 import hashlib
 import tempfile
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
@@ -110,7 +111,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
         raise InputError(f"{file}: is a program: using it runs code from the file; with --trust it is used")
     variables = {v.name: v for v in _description(str(file)).modelVariables}
     given = _Mapping(**_own_names(variables)) if mapping is None else _read(mapping)
-    links, start = _links(given, mapping), given.start
+    links, start = _links(given, mapping, variables), given.start
     for (name, channel), link in links.items():
         _check(file, variables, link.variable, f"{name} of channel {channel + 1}", _SIGNALS[name][1])
     for name in start:
@@ -179,15 +180,25 @@ class _Variable(FileTable):
     unit: str = ""
     sign: Number = 1.0
 
-    def link(self, signal: str) -> Link:
-        """What it is for a signal. InputError for a unit of something else."""
+    def link(self, signal: str, stated: str) -> Link:
+        """What it is for a signal; `stated` is the unit of which the FMU speaks, if any. InputError for a unit of something else,
+        and for another one than that."""
         si = _SIGNALS[signal][0]
-        own = unit(self.unit or si)
-        if signal == "command" and len(self.model_fields_set) > 1:
-            raise InputError("a command has neither unit nor sign: `rated` is its value at full command")
-        if own.quantity != UNITS[si].quantity or own.offset:
-            raise InputError(f"unit {own.name} is no unit of {UNITS[si].quantity}")
-        return Link(self.variable, own.scale * self.sign)
+        if signal == "command":
+            if len(self.model_fields_set) > 1:
+                raise InputError("a command has neither unit nor sign: `rated` is its value at full command")
+            return Link(self.variable, self.sign)
+        own, quantity = unit(self.unit or si), UNITS[si].quantity
+        if own.quantity != quantity or own.offset:
+            raise InputError(f"unit {own.name} is no unit of {quantity}")
+        theirs = own
+        with suppress(InputError):  # where the FMU states none that is known here, the mapping decides
+            theirs = unit(stated)
+        if theirs.quantity != quantity:
+            theirs = own
+        if self.unit and own.scale != theirs.scale:
+            raise InputError(f"unit {own.name}: the FMU states {theirs.name} for {shown(self.variable)}")
+        return Link(self.variable, theirs.scale * self.sign)
 
 
 def _by_name(entry: Any) -> Any:
@@ -212,13 +223,17 @@ def _read(path: str | Path) -> _Mapping:
     return checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
 
 
-def _links(given: _Mapping, path: str | Path | None) -> dict[tuple[str, int], Link]:
-    """What the variables of a mapping, of the file `path`, mean."""
+def _links(
+    given: _Mapping, path: str | Path | None, of_unit: Mapping[str, Any]
+) -> dict[tuple[str, int], Link]:
+    """What the variables of a mapping, of the file `path`, mean; `of_unit` are all of the FMU."""
     links = {}
     for channel, variables in enumerate((given.channel_1, given.channel_2)):
         for signal, variable in variables.items():
             with located(f"{path}: channel_{channel + 1}.{signal}"):
-                links[signal, channel] = variable.link(signal)
+                own = of_unit.get(variable.variable)
+                stated = own and (own.unit or (own.declaredType and own.declaredType.unit))
+                links[signal, channel] = variable.link(signal, stated or "")
     return links
 
 

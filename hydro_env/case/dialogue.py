@@ -180,7 +180,8 @@ def said(folder: Path, case: CaseFile) -> str:
     """Where the case stands, in at most about fifteen lines."""
     last = case.rounds[-1]
     logs = sum(len(r.logs) for r in case.rounds)
-    lines = [f"{folder}: {logs} logs, {len(case.asked)} questions so far; verdict {last.verdict}"]
+    answered = f"{len(case.rounds) - 1} of at most {case.options['questions']} questions answered"
+    lines = [f"{folder}: {logs} {'log' if logs == 1 else 'logs'}, {answered}; verdict {last.verdict}"]
     lines += [f"  remark: the last log {text}" for text in last.remarks]
     for place in last.open[:4]:
         shares = [f"{words.plain(n)} {p:.2f}" for n, p in [*place.hypotheses.items()][:5]]

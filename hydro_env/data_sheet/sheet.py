@@ -44,7 +44,7 @@ class Valve(_Table):
         "drop over the whole valve, or one edge (P to A)"
     )
     rated_command_V: Positive | None = _key("rated command, V: of the amplifier's input, else at the coil")
-    rated_command_mA: Positive | None = _key("rated current, mA")
+    rated_command_mA: Positive | None = _key("rated current, mA (this or the rated command is needed)")
     coil_resistance_Ohm: Positive | None = _key("resistance of the coil, warm, Ohm")
     coil_inductance_mH: Positive | None = _key("inductance of the coil, mH")
     kind: Literal["proportional", "servo"] | None = _key("a proportional or a servo valve")
@@ -195,23 +195,26 @@ def ask(where: Path) -> tuple[DataSheet, str]:
 
 
 def _asked_table(name: str, table: type[_Table]) -> dict[str, Any]:
+    asked: dict[str, Any] = {}
     while True:
-        asked = {key: _asked(key, field) for key, field in table.model_fields.items()}
+        asked = {key: _asked(key, field, asked.get(key)) for key, field in table.model_fields.items()}
         answers = {key: value for key, value in asked.items() if value is not None}
         try:
             checked(table, answers, name)
             return answers
         except InputError as problem:
-            print(f"  {problem}; once more:")
+            print(f"  {problem}; once more, an empty line keeps the answer in brackets:")
 
 
-def _asked(key: str, field: FieldInfo) -> Any:
+def _asked(key: str, field: FieldInfo, before: Any = None) -> Any:
+    """The answer to a question; an empty one is that of `before`, if there is one."""
     needed = " (needed)" if field.is_required() else ""
+    kept = "" if before is None else f" [{before}]"
     kind: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, field])  # type: ignore[arg-type]
     while True:
-        text = input(f"  {field.description}{_choices(field)}{needed}: ").strip()
-        if not text and not needed:
-            return None
+        text = input(f"  {field.description}{_choices(field)}{needed}{kept}: ").strip()
+        if not text and (kept or not needed):
+            return before
         if not text:
             print("  an answer is needed")
             continue

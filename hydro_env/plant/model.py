@@ -76,6 +76,8 @@ class PlantModel:
         if effect and effect not in self.declared:
             raise InputError(f"ranges: {name}: the model does not have the effect {effect!r}")
         low, high = self.ranges[name]
+        if not low <= high:
+            raise InputError(f"ranges: {name}: [{low:g}, {high:g}] is no range from low to high")
         for value in self.pair(name):
             if not low <= value <= high:
                 raise InputError(

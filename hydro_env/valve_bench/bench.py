@@ -86,7 +86,7 @@ def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = 
         told = f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files"
         raise InputError(f"{told}: one for all, or one each")
     tested = []
-    for text, valve in tqdm(models, desc="valves", disable=not progress, leave=False):
+    for text, valve in tqdm(models, desc="valves", disable=not (progress and models), leave=False):
         swept = partial(record, valve.model, valve.channel, signal=how.signal, name=valve.name)
         tested.append(_tested(text, [swept(seconds=seconds) for seconds in how.seconds], valve))
     periods = (how.periods or (how.columns.sweep_period,)) * len(files)

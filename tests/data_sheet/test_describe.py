@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -141,16 +142,17 @@ def test_questions_need_a_terminal_and_end_in_a_sheet(
 ) -> None:
     assert cli.run(["describe", "--out", str(tmp_path / "rig")]) == 2
     assert "questions need a terminal" in capsys.readouterr().err
-    known = {"rated flow": ["", "16 l/min", "16"], "at which that is the flow": ["10"], "rated command, V": ["10"],
+    known = {"rated flow": ["", "16 l/min", "16"], "at which that is the flow": ["10"], "rated command, V": ["", "10"],
              "displacement": ["16"], "supply pressure": ["100"]}  # fmt: skip
-    answers: dict[str, Iterator[str]] = {text: iter(given) for text, given in known.items()}
+    answers: dict[str, Iterator[str]] = {text: chain(given, repeat("")) for text, given in known.items()}
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr(
         "builtins.input",
         lambda asked: next((next(given) for text, given in answers.items() if text in asked), ""),
     )
     assert cli.run(["describe", "--out", str(tmp_path / "rig")]) == 0
-    assert capsys.readouterr().out.count("an answer is needed") == 1
+    said = capsys.readouterr().out
+    assert said.count("an answer is needed") == said.count("once more") == 1
     again = read_sheet(tmp_path / "rig" / "data_sheet.yaml")
     assert again.valve.rated_flow_lpm == 16 and again.motor.inertia_kgm2 is None
 

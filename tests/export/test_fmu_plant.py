@@ -55,8 +55,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def renamed(unit: Path, to: Path, *own: bytes) -> Path:
-    """The same FMU with other names, and so somebody else's."""
-    changes = [own] if own else [(b'"command_1"', b'"valve.one"'), (b'"speed_1"', b'"motor.one"')]
+    """The same FMU with other names and speeds in rpm, and so somebody else's."""
+    others = [(b'"command_1"', b'"valve.one"'), (b'"speed_1"', b'"motor.one"'), (b'"rad/s"', b'"rpm"')]
+    changes = [own] if own else others
     with zipfile.ZipFile(unit) as old, zipfile.ZipFile(to, "w") as new:
         for name in old.namelist():
             data = old.read(name)
@@ -118,8 +119,8 @@ def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp
     assert rigs.get("speed")[0, 0] == pytest.approx(-rpm * plain.get("speed")[0, 0], rel=1e-12)
     assert rigs.get("pressure")[0].tolist() == [plain.get("pressure")[0, 0], 0.0]
     assert (
-        0.9 < rigs.get("speed")[0, 1] / plain.get("speed")[0, 1] < 0.98
-    )  # a smaller gain on channel 2: 0.3 against 0.315
+        0.9 < rigs.get("speed")[0, 1] / (rpm * plain.get("speed")[0, 1]) < 0.98
+    )  # a smaller gain on channel 2: 0.3 against 0.315; in the unit that the FMU states
     assert rigs.get("angle")[0, 1] == pytest.approx(
         np.trapezoid([0.0, *speeds[501:]], dx=1e-3)
     )  # no angle is mapped
@@ -129,7 +130,7 @@ def test_the_rated_command(units: list[Path], rig: Path, tmp_path: Path) -> None
     """The FMU's own, unless the mapping has another; without either there is none."""
     assert load_fmu(rig, trust=True).value("u_rated", 1) == 22.8
     mapping = tmp_path / "mapping.yaml"
-    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one", "speed_1")
+    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one, unit: rpm", "speed_1")
     for change, rated in (("rated: 12", 12.0), ("", 22.8), ("start: {channel_1.u_rated: 15}", 15.0)):
         mapping.write_text(plain.replace("rated: 73\nstart: {channel_2.Kq: 0.3}", change))
         assert load_fmu(rig, mapping, trust=True).value("u_rated", 0) == rated
@@ -148,7 +149,7 @@ def test_how_large_it_is(units: list[Path], rig: Path, tmp_path: Path) -> None:
     large = ours.with_values({"D": 6.0 * ours.value("D", 0), "Kq": 12.0 * ours.value("Kq", 0)})
     large.to_yaml(tmp_path / "large.yaml", source="this test")
     theirs = renamed(units[0], tmp_path / "theirs.fmu", b'"channel_1.', b'"motor.'), tmp_path / "mapping.yaml"
-    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one", "speed_1")
+    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one, unit: rpm", "speed_1")
     for model, expected in (("", PAPER), ("model: large.yaml", scales_of(large))):
         theirs[1].write_text(plain.replace("start: {channel_2.Kq: 0.3}", model))
         found = load_fmu(theirs[0], theirs[1], trust=True)
@@ -200,6 +201,7 @@ def test_the_command(units: list[Path], tmp_path: Path) -> None:
         (MAPPING.replace("valve.one", "valve.two"), "has no variable 'valve.two'"),
         (MAPPING.replace("{variable: valve.one}", "{variable: motor.one}"), "expected an input"),
         (MAPPING.replace("unit: rpm", "unit: bar"), "is no unit of angular speed"),
+        (MAPPING.replace("unit: rpm", "unit: rad/s"), "channel_1.speed: unit rad/s: the FMU states rpm"),
         (
             MAPPING.replace("speed: {variable: speed_2}", "current: current_2"),
             "speed of channel 2 is missing",

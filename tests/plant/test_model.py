@@ -206,6 +206,7 @@ def test_ranges_are_kept_until_a_value_leaves_them(tmp_path: Path) -> None:
     assert set(model.without("flow_force").ranges) == {"J"}
     for wrong, said in (
         ({"J": [0.003, 0.004]}, "outside of its own range"),
+        ({"J": [0.004, 0.003]}, "is no range from low to high"),
         ({"spring_preload.preload": [0, 1]}, "does not have the effect"),
     ):
         with pytest.raises(InputError, match=said):

@@ -147,8 +147,8 @@ def _described(design: Design) -> str:
     if design.prediction is not None:
         now, then = design.prediction
         text += (
-            f"; estimates that the logs allow, {now:.2g} times the noise apart on the held-out logs, should then be "
-            f"{then:.2g} times apart"
+            f"; predictions of the held-out logs, now uncertain by {now:.2g} times the noise, should then be uncertain by "
+            f"{then:.2g} times"
         )
     return "; or ".join(filter(None, (text, known)))
 
