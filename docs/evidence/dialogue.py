@@ -9,8 +9,9 @@ of closed-loop operation, the held-out one 6 s of another mixture. As long as th
 rig plays 12 s that it asks for, with the sensor that it asks for, or random or D-optimal manoeuvres of the same family and limits
 (`naming_methods.designs`). All logs are diagnosed together, beside what was found before, against the same held-out one.
 
-Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden. Rigs
-that DIR holds already are not run again. Writes dialogue.json, dialogue.md and in paired.md how many questions each kind needs.
+Exact is a rig if the dialogue ends with the hidden names on their channels, alone, or with none where nothing is hidden; proven
+if the held-out log is explained as well, and no other name is listed beside one. Rigs that DIR holds already are not run again.
+Writes dialogue.json, dialogue.md, and in paired.md how many questions each kind needs.
 """
 
 from __future__ import annotations
@@ -123,11 +124,9 @@ def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
     judged = judge(data, hidden, truth["verdict"])
     tied = any(e["indistinguishable_from"] for e in data["effects"])
     names = [[e["name"], e["channel"], e["probability"]] for e in data["effects"]]
-    exact = judged["right"] and not found.best_guess and not tied
-    if not truth["effects"]:
-        exact = not names and data["verdict"] in ("none", "calibration")
+    proven = judged["right"] and not found.best_guess and not tied
     return {
-        "verdict": data["verdict"], "names": names, "exact": exact, "set": judged["set"], "alarm": judged["alarm"],
+        "verdict": data["verdict"], "names": names, "proven": proven, "set": judged["set"], "alarm": judged["alarm"],
         "given": given_names(data["effects"], hidden), "certainty": certainty(places), "best_guess": found.best_guess,
         "covered": covered(data, truth),
     }  # fmt: skip
@@ -153,14 +152,15 @@ def rigs(seed: int, singles: int, pairs: int, empty: int) -> Iterator[dict[str, 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Counts in Markdown by group and kind of questions."""
     head = [
-        "rigs", "questions", "exact at first", *(f"after {n + 1}" for n in range(QUESTIONS)), "false names", "asked, mean",
+        "rigs", "questions", "exact at first", *(f"after {n + 1}" for n in range(QUESTIONS)), "proven", "false names",
+        "asked, mean",
         "names of 0.9 and more that are right", "true values inside 90 % intervals: effects, base parameters",
     ]  # fmt: skip
     cells = []
     for group in GROUPS:
         own = [r for r in rows if r["group"] == group]
         for kind in [k for k in KINDS if own and k in own[0]]:
-            exact = [sum(_after(r[kind], n)["exact"] for r in own) for n in range(QUESTIONS + 1)]
+            exact = [sum(_exact(r, _after(r[kind], n)) for r in own) for n in range(QUESTIONS + 1)]
             last = [_after(r[kind], QUESTIONS) for r in own]
             sure = [right for each in last for p, right in each["given"] if p >= SURE]
             inside = ", ".join(
@@ -168,7 +168,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
                 for k in ("effects", "base")
             )
             cells.append([
-                f"{group}: {len(own)}", kind, *exact, sum(e["alarm"] for e in last),
+                f"{group}: {len(own)}", kind, *exact, sum(e["proven"] for e in last), sum(e["alarm"] for e in last),
                 f"{np.mean([len(r[kind]) - 1 for r in own]):.2f}", f"{sum(sure)} of {len(sure)}", inside,
             ])  # fmt: skip
     return "\n".join(markdown(head, cells)) + "\n"
@@ -178,7 +178,8 @@ def paired(rows: Sequence[Mapping[str, Any]]) -> str:
     """How many questions each kind needs until a rig is exact, beside those that are asked; one more than there are where it
     never is."""
     own, *others = [kind for kind in KINDS if rows and kind in rows[0]]
-    needed = [{kind: _needed(r[kind]) for kind in (own, *others)} for r in rows if not r[own][0]["exact"]]
+    still = [r for r in rows if not _exact(r, r[own][0])]
+    needed = [{kind: _needed(r, kind) for kind in (own, *others)} for r in still]
     text = []
     for kind in others if needed else ():
         fewer, more = (sum((n[own] - n[kind]) * sign > 0 for n in needed) for sign in (-1, 1))
@@ -195,9 +196,16 @@ def _after(rounds: Sequence[Mapping[str, Any]], questions: int) -> Mapping[str, 
     return rounds[min(questions, len(rounds) - 1)]
 
 
-def _needed(rounds: Sequence[Mapping[str, Any]]) -> int:
-    last = len(rounds) - 1
-    return last if rounds[last]["exact"] else QUESTIONS + 1
+def _exact(row: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
+    """Whether these names, and no others, are those that are hidden."""
+    right = [own for _, own in found["given"]]
+    verdicts = ("effects",) if row["hidden"] else ("none", "calibration")
+    return all(right) and len(right) == len(row["hidden"]) and found["verdict"] in verdicts
+
+
+def _needed(row: Mapping[str, Any], kind: str) -> int:
+    last = len(row[kind]) - 1
+    return last if _exact(row, row[kind][last]) else QUESTIONS + 1
 
 
 def main() -> None:
@@ -235,7 +243,7 @@ def main() -> None:
 
 def _said(row: Mapping[str, Any], kind: str) -> str:
     last = row[kind][-1]
-    return f"{kind} {len(row[kind]) - 1}: {last['names']} {'exact' if last['exact'] else ''}"
+    return f"{kind} {len(row[kind]) - 1}: {last['names']} {'exact' if _exact(row, last) else ''}"
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from .naming_methods.methods import METHODS as COMPARED
 ROOT = Path(__file__).parents[2]
 SCHEMA = "hydro_env/measured/1"
 #: Seed of naming benchmark, blind trials and dialogues: one that nobody has looked at, another one for each release.
-BLIND_SEED = 1_000_000
+BLIND_SEED = 2_000_000
 
 
 @dataclass(frozen=True)

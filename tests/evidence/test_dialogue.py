@@ -13,7 +13,8 @@ def _row(group: str, asked: list[bool], random: list[bool]) -> dict[str, Any]:
     rounds = {
         kind: [
             {
-                "exact": each,
+                "verdict": "effects",
+                "proven": each,
                 "alarm": False,
                 "given": [[0.95, each]],
                 "covered": {"at_90": COUNTS, "base": [9, 9], "effects": [2, 2]},
@@ -22,7 +23,7 @@ def _row(group: str, asked: list[bool], random: list[bool]) -> dict[str, Any]:
         ]
         for kind, own in (("asked", asked), ("random", random), ("d_optimal", random))
     }
-    return {"group": group, **rounds}
+    return {"group": group, "hidden": ["dead_zone:1"], **rounds}
 
 
 def test_questions_are_counted_until_a_rig_is_exact() -> None:
@@ -34,7 +35,7 @@ def test_questions_are_counted_until_a_rig_is_exact() -> None:
     assert paired(rows).startswith(
         "Of 2 open rigs asked questions need fewer than random ones in 1, more in 1 (p = 1); mean 1.50 and 2.50"
     )
-    assert "| single: 2 | asked | 1 | 2 | 2 | 2 | 0 | 0.50 | 2 of 2 | 2 of 4, 16 of 18 |" in table(rows)
+    assert "| single: 2 | asked | 1 | 2 | 2 | 2 | 2 | 0 | 0.50 | 2 of 2 | 2 of 4, 16 of 18 |" in table(rows)
 
 
 def test_a_run_that_is_stopped_has_rigs_of_every_group() -> None:
