@@ -11,7 +11,7 @@ from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes, re
 from hydro_env.diagnosis.estimation.fit import Fit, noise_of
 from hydro_env.diagnosis.estimation.gauss_newton import differentiate
 from hydro_env.diagnosis.estimation.noise import noise_floor
-from hydro_env.diagnosis.estimation.uncertainty import STRETCH_S, bootstrap, nearest_inside
+from hydro_env.diagnosis.estimation.uncertainty import STRETCH_S, bootstrap, intervals_of, nearest_inside
 from hydro_env.diagnosis.estimation.unknowns import base_unknown, less_taken
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
@@ -48,6 +48,23 @@ def test_replicas_differ_as_much_as_the_prior_where_the_logs_say_nothing() -> No
     moves = bootstrap(matrices, sides, np.eye(2), np.zeros(2), rng)
     assert np.std(moves.sum(axis=1)) == pytest.approx(1.0 / np.sqrt(count), rel=0.25)
     assert np.std(moves[:, 0] - moves[:, 1]) == pytest.approx(np.sqrt(2.0), rel=0.2)
+
+
+def test_scales_that_only_held_parameters_fix_are_open() -> None:
+    """However much the logs seem to say, the force of the coil is known as far as the priors of all forces."""
+    fit, base = logged({}, {}, 4000)
+    names = ("J", "k", "alpha", "m", "Fc", "Fs")
+    unknowns = [base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in names]
+    found = Estimate(0, unknowns, np.zeros(len(names)))
+    found.simulated = dict(base.simulated)
+    found.columns = {0: np.random.default_rng(1).standard_normal((4000, len(names)))}
+    intervals = intervals_of(fit, found)
+    widths = dict(zip(names, 0.5 * (intervals.high - intervals.low), strict=True))
+    known = 1.0 / np.sqrt(sum(u.scale**-2 for u in unknowns[1:]))  # of the scale, by the priors alone
+    scale = dict(zip(names, (u.scale for u in unknowns), strict=True))
+    assert widths["J"] < 0.01
+    assert 1.7 * known < widths["alpha"] * scale["alpha"] < 2.6 * known
+    assert np.abs(intervals.draws).max() < 0.01
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ import numpy as np
 from .estimate import Estimate, Intervals, Vector
 from .fit import Fit
 from .gauss_newton import minimum_in_box
+from .unknowns import PRIOR_SPREAD, scaled
 
 #: Length of a stretch, s.
 STRETCH_S = 0.5
@@ -31,6 +32,9 @@ SHORTEST_S = STRETCH_S * next(n for n in range(1, 100) if comb(2 * n - 1, n) >= 
 REPLICAS = 200
 #: Half the width of a 95 % interval of the normal distribution, in standard deviations.
 TWO_SIDED_95 = 1.96
+#: Directions (`unknowns.SCALED_TOGETHER`) whose scale only the damping and the bristles of the spool fix: they are held at the
+#: given values, of which no more is known than of others, and no friction keeps to the law of the bristles. The step of q.
+OPEN_SCALES, SCALE_STEP = ("k", "Kq"), 0.1
 #: Replicas that are simulated on the held-out logs: the largest of eight differences is above their median but in one of 256
 #: cases.
 DRAWS = 8
@@ -41,18 +45,35 @@ CANNOT_BE_PREDICTED = 5.0
 
 def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than the inverse of the normal matrix
-    says."""
-    size, bounds = len(estimate.unknowns), estimate.bounds
-    prior = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9 * np.eye(size)
+    says, and with the scales open that only held parameters fix (`OPEN_SCALES`). The draws keep to these scales: what is
+    simulated has the held parameters."""
+    size, bounds, seed = len(estimate.unknowns), estimate.bounds, fit.settings.seed
+    prior = np.array([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
-    moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
-    low, high = np.quantile(moves, [_TAIL, 1.0 - _TAIL], axis=0)
-    whole = matrices.sum(axis=0) + prior
-    spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
+    whole = matrices.sum(axis=0) + np.diag(prior)
+    moves = bootstrap(matrices, sides, np.diag(prior), estimate.q, np.random.default_rng(seed))
+    draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
+    if fit.rig.has_hidden_states and (scales := open_scales(estimate)).size:
+        wide, q = np.hstack([np.eye(size), scales]), np.pad(estimate.q, (0, scales.shape[1]))
+        prior = np.append(prior, np.full(scales.shape[1], PRIOR_SPREAD**-2))
+        matrices, sides = wide.T @ matrices @ wide, sides @ wide
+        whole = matrices.sum(axis=0) + np.diag(prior)
+        moves = bootstrap(matrices, sides, np.diag(prior), q, np.random.default_rng(seed))
+    low, high = np.quantile(moves[:, :size], [_TAIL, 1.0 - _TAIL], axis=0)
+    variances = np.diag(np.linalg.pinv(whole, hermitian=True))[:size]
+    spread = TWO_SIDED_95 * np.sqrt(np.maximum(variances, 0.0))
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
-    draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
     return Intervals(low, high, draws.reshape(DRAWS, size))
+
+
+def open_scales(estimate: Estimate) -> Vector:
+    """The changes of q (k, n) by a logarithm of each of the `OPEN_SCALES` that an estimate has."""
+    unknowns, changes = estimate.unknowns, []
+    for j, u in enumerate(unknowns):
+        if u.name in OPEN_SCALES and u.log:
+            changes.append(scaled(unknowns, estimate.q, j, SCALE_STEP) / (u.scale * SCALE_STEP))
+    return np.array(changes).reshape(-1, len(unknowns)).T
 
 
 def nearest_inside(matrix: Vector, move: Vector, q: Vector, bounds: tuple[Vector, Vector]) -> Vector:
