@@ -81,7 +81,9 @@ def driven(controller: Any, split: str, case: int) -> dict[str, dict[str, float]
     return found
 
 
-def compared(rows: Mapping[str, Any], one: str, other: str, metric: str, draws: int = 2000) -> str:
+def compared(
+    rows: Mapping[str, Any], one: str, other: str, metric: str, draws: int = 2000
+) -> tuple[str, str]:
     """Share of comparisons that `one` wins, and the geometric mean of its ratio to `other`, with intervals over rigs."""
     both = [row for row in rows.values() if one in row and other in row]
     values = np.array([[[row[name][s][metric] for s in SCENARIOS] for name in (one, other)] for row in both])
@@ -95,8 +97,8 @@ def compared(rows: Mapping[str, Any], one: str, other: str, metric: str, draws: 
     low, high = np.quantile(wins[picked].mean(axis=(1, 2)), [0.025, 0.975])
     a, b = np.exp(np.nanquantile(np.nanmean(ratio[picked], axis=(1, 2)), [0.025, 0.975]))
     return (
-        f"{one} against {other}, {metric}: smaller in {wins.mean():.2f} [{low:.2f}, {high:.2f}], "
-        f"ratio {np.exp(np.nanmean(ratio)):.2f} [{a:.2f}, {b:.2f}], {len(both)} rigs"
+        f"{wins.mean():.2f} [{low:.2f}, {high:.2f}]",
+        f"{np.exp(np.nanmean(ratio)):.2f} [{a:.2f}, {b:.2f}]",
     )
 
 
@@ -110,7 +112,8 @@ def _shown(rows: Mapping[str, Any], names: Sequence[str]) -> None:
     for name in names:
         for other in TUNED:
             for metric in ("difference", "tracking"):
-                print(compared(rows, name, other, metric))
+                wins, ratio = compared(rows, name, other, metric)
+                print(f"{name} against {other}, {metric}: smaller in {wins}, ratio {ratio}, {len(rows)} rigs")
 
 
 def main() -> None:

@@ -26,12 +26,11 @@ from agents.command import run_command
 from docs import generate
 from hydro_env.controllers import CONTROLLERS
 from hydro_env.errors import InputError
-from hydro_env.experiments.naming_benchmark.methods import METHODS as SHIPPED
 from hydro_env.files import write_json, write_text
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
+from .any_policy import TUNED, compared
 from .blind_trials.tables import markdown
-from .naming_methods.methods import METHODS as COMPARED
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = "hydro_env/measured/1"
@@ -152,6 +151,31 @@ def _any_rig(folder: Path) -> None:
     _table(folder / "any_rig.md", head, rows)
 
 
+def _paper_gap(folder: Path) -> None:
+    rows = []
+    for a in read_json(folder / "paper_gap.json", "answers")["answers"]:
+        if a["explains_figure_7"]:
+            size = ", ".join(f"`{name}` {value:.3g}" for name, value in a["parameters"].items())
+            threshold = "-" if a["threshold_A"] is None else f"{1e3 * a['threshold_A']:.0f}"
+            rows.append([f"`{a['effect']}`", size, f"{a['equal_again_s']:.2f}", threshold])
+    _table(folder / "paper_gap.md", ["effect", "size", "equal again after, s", "flow from, mA"], rows)
+
+
+def _any_policy(folder: Path) -> None:
+    driven, rows = read_json(folder / "any_policy.json", "rigs that were driven"), []
+    for law in TUNED:
+        both = [compared(driven, "gru_any", law, metric) for metric in ("difference", "tracking")]
+        rows.append([f"`{law}`", *(cell for one in both for cell in one)])
+    head = [
+        "tuned law",
+        "peak smaller in",
+        "ratio of peaks",
+        "tracking error smaller in",
+        "ratio of tracking errors",
+    ]
+    _table(folder / "any_policy.md", head, rows)
+
+
 def _two_tables(folder: Path) -> None:
     """The second table of close_loop.md, of the rigs, in a file of its own."""
     blocks, current = [], []
@@ -202,6 +226,13 @@ STEPS = {
         ["rig=rig.md"], tables=_rig,
     ),
     "ladder": Step(["{python} -m agents.baselines --lines --pairs 500 --out ."], ["ladder=ladder.md"]),
+    "pictures": Step(
+        ["{hydro} demo --out demo", "{python} -m agents.picture --out agents_start_and_reversal.png"],
+        copies={"demo/demo.png": "docs/images", "agents_start_and_reversal.png": "docs/images"},
+    ),
+    "paper_gap": Step(
+        ["{python} -m docs.evidence.paper_gap --out ."], ["paper_gap=paper_gap.md"], tables=_paper_gap
+    ),
     "scaling": Step(["{python} -m docs.evidence.scaling --out ."], ["scaling=scaling.md"], {"scaling.png": "docs/images"}),
     "four_edge_rigs": Step(
         [f"{{python}} -m docs.evidence.four_edge_rigs --seed {n} --jobs 2 --out seed_{n}" for n in (1, 2)],
@@ -210,14 +241,16 @@ STEPS = {
     "naming": Step(
         [
             f"{{hydro}} naming-benchmark make --rigs 36 --seed {BLIND_SEED} --out set",
-            "{hydro} naming-benchmark run all --set set --out answers",
-            "{python} -m docs.evidence.naming_methods all --set set --out answers",
-            f"{{hydro}} naming-benchmark score {' '.join(f'answers/{name}' for name in [*SHIPPED, *COMPARED])} --set set --out .",
+            "{hydro} naming-benchmark run diagnose calibrate --set set --out answers",
+            "{python} -m docs.evidence.naming_methods sindy polynomial certify network --set set --out answers",
+            "{hydro} naming-benchmark score answers/diagnose answers/calibrate answers/sindy answers/polynomial answers/certify"
+            " answers/network --set set --out .",
         ],
         copies={"naming.json": "docs/evidence"},
     ),
     "measured_machines": Step(
-        ["{python} -m docs.evidence.measured_machines {data} --out ."], ["crane=crane.md", "servo_valve=servo_valve.md"]
+        ["{python} -m docs.evidence.measured_machines {data} --out ."], ["crane=crane.md", "servo_valve=servo_valve.md"],
+        {"measured_machines.png": "docs/images"},
     ),
     "close_loop": Step(
         [
@@ -248,6 +281,9 @@ STEPS = {
             for words in ("--out drawn", "--plant paper --out paper")
         ],
         ["any_rig=any_rig.md"], tables=_any_rig,
+    ),
+    "any_policy": Step(
+        ["{python} -m docs.evidence.any_policy --first 19 --rigs 19 --out ."], ["any_policy=any_policy.md"], tables=_any_policy
     ),
     "dialogue": Step(
         [

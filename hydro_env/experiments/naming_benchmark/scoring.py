@@ -184,9 +184,11 @@ def _ahead(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     for other in others:
         more = first["name"]["count"] > other["name"]["count"]
         names[more and first["alarm"]["count"] <= other["alarm"]["count"]].append(f"`{other['method']}`")
-    than = ", ".join(names[True]) or "none of the others"
-    text = [f"`{first['method']}` names more, at no more false alarms, than {than}."]
-    return text + ([f"It does not against {', '.join(names[False])}."] if names[False] else [])
+    says = {
+        True: "names more, at no more false alarms, than",
+        False: "does not name more, or has more false alarms, than",
+    }
+    return [f"`{first['method']}` {says[ahead]} {', '.join(own)}." for ahead, own in names.items() if own]
 
 
 # --- what whole diagnoses say of their own certainty ---------------------------------------------------------------------
