@@ -464,8 +464,8 @@ def threshold() -> str:
     """The reward threshold of the registered specification."""
     spec = gymnasium.spec("HydraulicSync-v0")
     return (
-        f'`gymnasium.spec("HydraulicSync-v0").reward_threshold` is {spec.reward_threshold:g}: the mean return of '
-        "`cross_coupled` in the default task, rounded."
+        f'`gymnasium.spec("HydraulicSync-v0").reward_threshold` is {spec.reward_threshold:g}, a little below the mean return '
+        "of `cross_coupled` in the default task."
     )
 
 

@@ -161,6 +161,15 @@ def _paper_gap(folder: Path) -> None:
     _table(folder / "paper_gap.md", ["effect", "size", "equal again after, s", "flow from, mA"], rows)
 
 
+def _exports(folder: Path) -> None:
+    lines = (folder / "log.txt").read_text(encoding="utf-8").splitlines()
+    rows = {
+        cells[0]: cells for line in lines if line.startswith("|") for cells in [line.strip("| ").split(" | ")]
+    }
+    head = ["controller", "code and constants, bytes", "state, bytes", "worst step, us"]
+    _table(folder / "exports.md", head, list(rows.values()))
+
+
 def _any_policy(folder: Path) -> None:
     driven, rows = read_json(folder / "any_policy.json", "rigs that were driven"), []
     for law in TUNED:
@@ -229,6 +238,10 @@ STEPS = {
     "pictures": Step(
         ["{hydro} demo --out demo", "{python} -m agents.picture --out agents_start_and_reversal.png"],
         copies={"demo/demo.png": "docs/images", "agents_start_and_reversal.png": "docs/images"},
+    ),
+    "exports": Step(
+        ["{python} -m tests.export.measure pid_tuned cross_coupled adaptive_flow probing_flow ppo gru"],
+        ["exports=exports.md"], tables=_exports,
     ),
     "paper_gap": Step(
         ["{python} -m docs.evidence.paper_gap --out ."], ["paper_gap=paper_gap.md"], tables=_paper_gap

@@ -172,3 +172,6 @@ def test_the_licence_of_every_pinned_package_is_listed() -> None:
 def test_the_citation_has_the_version_of_the_package() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == __version__
+    assert f"version = {{{__version__}}}" in (ROOT / "docs" / "reference" / "protocol.md").read_text(
+        encoding="utf-8"
+    )
