@@ -185,17 +185,26 @@ def _any_policy(folder: Path) -> None:
     _table(folder / "any_policy.md", head, rows)
 
 
-def _two_tables(folder: Path) -> None:
-    """The second table of close_loop.md, of the rigs, in a file of its own."""
-    blocks, current = [], []
-    for line in [*(folder / "agent" / "close_loop.md").read_text(encoding="utf-8").splitlines(), ""]:
-        if line.startswith("|"):
-            current.append(line)
-        elif current:
-            blocks.append(current)
-            current = []
-    for name, block in zip(("close_loop", "close_loop_rigs"), blocks, strict=False):
-        write_text(folder / f"{name}.md", "\n".join(block) + "\n")
+def _close_loop(folder: Path) -> None:
+    rows = []
+    for r in read_json(folder / "agent" / "close_loop.json", "a closed loop", max_bytes=MAX_BYTES_OF_RESULTS)[
+        "rigs"
+    ]:
+        hidden, named = ([f"{e['name']}:{e['channel']}" for e in r["hidden"]], r["named"])
+        errors = [
+            ", ".join(f"{each[key]:.1f}" for key in ("before", "after", "noise"))
+            for each in r["sealed_rpm"].values()
+        ]
+        rows.append(
+            [
+                r["rig"],
+                *(", ".join(f"`{n}`" for n in names) for names in (hidden, named)),
+                f"`{r['verdict']}`",
+                *errors,
+            ]
+        )
+    ends = [f"channel {c}: as given, repaired, noise" for c in (1, 2)]
+    _table(folder / "close_loop_rigs.md", ["rig", "hidden", "named", "verdict", *ends], rows)
 
 
 # --- the steps --------------------------------------------------------------------------------------------------------
@@ -271,8 +280,8 @@ STEPS = {
             "{python} -m agents.close_loop --rigs rigs --out agent",
             "{python} -m docs.evidence.close_loop_picture agent --out agent",
         ],
-        ["close_loop=close_loop.md", "close_loop_rigs=close_loop_rigs.md"],
-        {"agent/close_loop.png": "docs/images/closing_the_loop.png"}, _two_tables,
+        ["close_loop=agent/close_loop.md", "close_loop_rigs=close_loop_rigs.md"],
+        {"agent/close_loop.png": "docs/images/closing_the_loop.png"}, _close_loop,
     ),
     "baselines": Step(
         [

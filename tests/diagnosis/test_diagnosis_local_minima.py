@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.final_refinement import refine
 from hydro_env.diagnosis.estimation.fit import Fit, noise_of
 from hydro_env.diagnosis.estimation.gauss_newton import differentiate, solve
 from hydro_env.diagnosis.estimation.local_minima import early_window_of, grow_horizon
@@ -162,11 +163,13 @@ def test_calibration_finds_rigs_whose_spools_are_wrong_by_a_sixth(tmp_path: Path
     rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     found = calibrate(_fit(rig))
     fit = Fit(rig, noise_of(rig, found))
+    # Where calibration stops in the valley that only ratios tell hangs on rounding; the refinement ends at its minimum.
+    refine(fit, fit, found.values())
     for c in (0, 1):
-        assert fit.at_noise(found[c], 1.1)
+        assert fit.at_noise(found[c], 1.05)
         values = found[c].values(c)
         for name in ("alpha", "k", "m"):
-            assert values[name] == pytest.approx(practice.true.value(name, c), rel=0.05), (name, c)
+            assert values[name] == pytest.approx(practice.true.value(name, c), rel=0.01), (name, c)
         assert len(base_unknowns(rig, c)) == found[c].q.size
 
 

@@ -164,6 +164,7 @@ def test_a_state_that_effects_share(tmp_path: Path) -> None:
     assert unit.get("lines.mean_pressure_1").any()
 
 
+@needs_compiler
 def test_a_delayed_command(tmp_path: Path) -> None:
     (tmp_path / "late.yaml").write_text(LATE)
     path = export_fmu(load_model(tmp_path / "late.yaml"), tmp_path, (3,)).files[0]
