@@ -4,7 +4,8 @@
     python -m docs.evidence.measure_all --out DIR --publish                        # when all is measured
 
 A stopped run goes on where it was. Each step runs its commands in DIR/STEP and keeps what they print in log.txt. A step that
-DIR holds at another commit is run again, and nothing is measured or published while files are changed but not committed.
+DIR holds is run again where its commands, or code that it runs, have changed since, so what is published was measured with the
+code of the commit that it bears. Nothing is measured or published while files are changed but not committed.
 `--data` is the folder of the measured machines, which are others' data; without it their tables stay as they are.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -33,6 +35,14 @@ from .any_policy import TUNED, compared
 from .blind_trials.tables import markdown
 
 ROOT = Path(__file__).parents[2]
+#: What every step runs; besides, the steps that diagnose run all of docs/evidence, the others the scripts that they name.
+CODE = "hydro_env", "agents", "configs", "tests/export/measure.py"
+DIAGNOSED = (
+    "pictures", "four_edge_rigs", "naming", "measured_machines", "close_loop", "blind_trials", "any_rig", "dialogue",
+)  # fmt: skip
+#: What of it tells of results, and what only steps that diagnose run.
+TOLD = "*.md", "docs/evidence/*.json", "docs/evidence/measure_all.py"
+DIAGNOSIS = "hydro_env/diagnosis", "hydro_env/case", "hydro_env/experiments/naming_benchmark"
 SCHEMA = "hydro_env/measured/1"
 #: Seed of naming benchmark, blind trials and dialogues: one that nobody has looked at, another one for each release.
 BLIND_SEED = 2_000_000
@@ -318,19 +328,32 @@ STEPS = {
 
 
 # --- running ----------------------------------------------------------------------------------------------------------
+def git(*words: str) -> str:
+    return subprocess.run(
+        ["git", *words], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
 def commit() -> str:
     """The commit that is measured; InputError where files are changed but not committed."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(
-            ["git", *words], cwd=ROOT, capture_output=True, text=True, check=True
-        ).stdout.strip()
-
     if changed := git("status", "--porcelain", "--untracked-files=no"):
         raise InputError(
             f"{changed.split(maxsplit=1)[-1].splitlines()[0]}: changed but not committed; commit it first"
         )
     return git("rev-parse", "HEAD")
+
+
+def is_current(name: str, done: Mapping[str, Any] | None) -> bool:
+    """Whether a step was measured with the commands and the code of this commit."""
+    commands = list(STEPS[name].commands)
+    if done is None or done.get("commands") != commands:
+        return False
+    named = re.findall(r"docs\.evidence\.(\w+)", " ".join(commands))
+    code = ["docs/evidence"] if name in DIAGNOSED else [f"docs/evidence/{each}.py" for each in named]
+    aside = TOLD if name in DIAGNOSED else (*TOLD, *DIAGNOSIS)
+    return not git(
+        "diff", "--name-only", done["commit"], "--", *CODE, *code, *(f":(exclude){each}" for each in aside)
+    )
 
 
 def measure(out: Path, name: str, data: Path | None) -> None:
@@ -376,7 +399,7 @@ def run(out: Path, names: Sequence[str], data: Path | None) -> None:
     for name in (bar := tqdm(names, unit="step")):
         bar.set_description(name)
         now = commit()
-        if done.get(name, {}).get("commit") == now:
+        if is_current(name, done.get(name)):
             continue
         if name in done:
             shutil.rmtree(out / name)
@@ -386,7 +409,8 @@ def run(out: Path, names: Sequence[str], data: Path | None) -> None:
             raise InputError(
                 f"{name}: the checkout moved to another commit meanwhile; the same call measures it again"
             )
-        done[name] = {"commit": now, "minutes": round((time.monotonic() - begin) / 60.0, 1)}
+        minutes = round((time.monotonic() - begin) / 60.0, 1)
+        done[name] = {"commit": now, "minutes": minutes, "commands": list(STEPS[name].commands)}
         write_json(out / "measured.json", {"schema": SCHEMA, "steps": done})
 
 
@@ -408,9 +432,9 @@ def main() -> None:
         run(out, names, data)
         return
     done, now = _done(out), commit()
-    if other := [name for name in names if done.get(name, {}).get("commit") != now]:
+    if other := [name for name in names if not is_current(name, done.get(name))]:
         raise InputError(
-            f"{out}: {', '.join(other)} not measured at {now[:7]}; run it without --publish first"
+            f"{out}: {', '.join(other)} not measured with the code of {now[:7]}; run it without --publish first"
         )
     publish(out, names)
 
