@@ -137,12 +137,10 @@ def _find(
 
     fewer, found = selected, judged(selected)
     again = found
-    while again.absent:
+    while again.absent and len(fewer.accepted) > 1:
         fewer = do(selection.without_weakest, fewer, again.absent)
         again = judged(fewer)
-    if again.verdict == "effects" or (
-        again.verdict != "unknown" and not verdict.still_pay(selected, found, again)
-    ):
+    if again.verdict == "effects":
         selected, found = fewer, again
     missing = found.verdict not in ("none", "calibration")
     locations = do(localisation.locate, logs.rig, selected.calibrated) if missing else []

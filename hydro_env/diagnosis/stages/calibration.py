@@ -10,6 +10,7 @@ from ...errors import InputError, check_known
 from ...measured import Finding
 from ...plant import CATALOGUE, parameter_of, scales_of
 from ..estimation.estimate import Estimate, Estimates, distinct, joined
+from ..estimation.final_refinement import refine
 from ..estimation.fit import Fit
 from ..estimation.gauss_newton import DIFFERENCE_STEPS, solve
 from ..estimation.local_minima import restart_friction
@@ -52,6 +53,8 @@ def run(logs: Logs, given: Estimates, findings: list[Finding], chosen: Chosen | 
     if found:
         fit = fit.on(rig)
         estimates = calibrate(fit, chosen=chosen)
+    # A calibration that stops early leaves what would be taken for a missing effect.
+    refine(fit, fit, distinct(estimates))
     fit = fit.with_noise_seen_by(estimates)
     fit.rescore(list(estimates.values()))
     fine, _ = without_outliers(logs.fine, estimates)

@@ -82,14 +82,6 @@ def confirm(selection: Selection, verdict: str, models: Models, proofs: Proofs) 
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [], absent)
 
 
-def still_pay(selection: Selection, found: Confirmed, calibrated: Confirmed) -> bool:
-    """Whether what was accepted explains more than chance could beside calibration alone, both at their minimum: `calibrated`
-    is the result without any of it."""
-    fit = selection.logs.fit
-    gain = sum(fit.gain(calibrated.models.final[c], p, (c,)) for c, p in found.models.named.items())
-    return gain > sum(k.needed for k in selection.accepted)
-
-
 def _elsewhere(logs: Logs, proofs: Proofs) -> Iterator[str]:
     """Coil currents of the held-out logs that are off, of coils that the same model explains to the noise in the fit logs.
 
