@@ -33,6 +33,7 @@ from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
 from .any_policy import TUNED, compared
 from .blind_trials.tables import markdown
+from .paper_gap import AGAIN_S
 
 ROOT = Path(__file__).parents[2]
 #: What every step runs; besides, the steps that diagnose run all of docs/evidence, the others the scripts that they name.
@@ -162,13 +163,21 @@ def _any_rig(folder: Path) -> None:
 
 
 def _paper_gap(folder: Path) -> None:
+    answers = read_json(folder / "paper_gap.json", "answers")["answers"]
+    reach = [a for a in answers if a["explains_figure_7"]]
+    facts = {
+        "tried": answers,
+        "175 rpm at a plausible size": reach,
+        "there, speeds equal again within a second": [a for a in reach if a["equal_again_s"] <= AGAIN_S],
+        "there, no flow below 300 mA": [a for a in reach if a["explains_figure_2"]],
+    }
     rows = []
-    for a in read_json(folder / "paper_gap.json", "answers")["answers"]:
-        if a["explains_figure_7"]:
-            size = ", ".join(f"`{name}` {value:.3g}" for name, value in a["parameters"].items())
-            threshold = "-" if a["threshold_A"] is None else f"{1e3 * a['threshold_A']:.0f}"
-            rows.append([f"`{a['effect']}`", size, f"{a['equal_again_s']:.2f}", threshold])
-    _table(folder / "paper_gap.md", ["effect", "size", "equal again after, s", "flow from, mA"], rows)
+    for fact, own in facts.items():
+        names = dict.fromkeys(a["effect"] for a in own)
+        rows.append(
+            [fact, str(len(names)), "" if own is answers else ", ".join(f"`{n}`" for n in names) or "none"]
+        )
+    _table(folder / "paper_gap.md", ["", "effects", "which"], rows)
 
 
 def _exports(folder: Path) -> None:
