@@ -166,18 +166,16 @@ def _paper_gap(folder: Path) -> None:
     answers = read_json(folder / "paper_gap.json", "answers")["answers"]
     reach = [a for a in answers if a["explains_figure_7"]]
     facts = {
-        "tried": answers,
         "175 rpm at a plausible size": reach,
-        "there, speeds equal again within a second": [a for a in reach if a["equal_again_s"] <= AGAIN_S],
-        "there, no flow below 300 mA": [a for a in reach if a["explains_figure_2"]],
+        "then speeds equal again within a second": [a for a in reach if a["equal_again_s"] <= AGAIN_S],
+        "then no flow below 300 mA": [a for a in reach if a["explains_figure_2"]],
     }
     rows = []
     for fact, own in facts.items():
-        names = dict.fromkeys(a["effect"] for a in own)
-        rows.append(
-            [fact, str(len(names)), "" if own is answers else ", ".join(f"`{n}`" for n in names) or "none"]
-        )
-    _table(folder / "paper_gap.md", ["", "effects", "which"], rows)
+        names = dict.fromkeys(f"`{a['effect']}`" for a in own)
+        rows.append([fact, str(len(names)), ", ".join(names) or "none"])
+    tried = len({a["effect"] for a in answers})
+    _table(folder / "paper_gap.md", ["", f"effects, of {tried}", "which"], rows)
 
 
 def _exports(folder: Path) -> None:
