@@ -192,34 +192,19 @@ def _any_policy(folder: Path) -> None:
     for law in TUNED:
         both = [compared(driven, "gru_any", law, metric) for metric in ("difference", "tracking")]
         rows.append([f"`{law}`", *(cell for one in both for cell in one)])
-    head = [
-        "tuned law",
-        "peak smaller in",
-        "ratio of peaks",
-        "tracking error smaller in",
-        "ratio of tracking errors",
-    ]
-    _table(folder / "any_policy.md", head, rows)
+    ends = ("peak smaller in", "ratio of peaks", "tracking error smaller in", "ratio of tracking errors")
+    _table(folder / "any_policy.md", ["tuned law", *ends], rows)
 
 
 def _close_loop(folder: Path) -> None:
-    rows = []
-    for r in read_json(folder / "agent" / "close_loop.json", "a closed loop", max_bytes=MAX_BYTES_OF_RESULTS)[
-        "rigs"
-    ]:
-        hidden, named = ([f"{e['name']}:{e['channel']}" for e in r["hidden"]], r["named"])
-        errors = [
-            ", ".join(f"{each[key]:.1f}" for key in ("before", "after", "noise"))
-            for each in r["sealed_rpm"].values()
+    path, rows = folder / "agent" / "close_loop.json", []
+    for r in read_json(path, "a closed loop", max_bytes=MAX_BYTES_OF_RESULTS)["rigs"]:
+        hidden = ", ".join(f"`{e['name']}:{e['channel']}`" for e in r["hidden"])
+        named = ", ".join(f"`{name}`" for name in r["named"])
+        left = [
+            ", ".join(f"{e[k]:.1f}" for k in ("before", "after", "noise")) for e in r["sealed_rpm"].values()
         ]
-        rows.append(
-            [
-                r["rig"],
-                *(", ".join(f"`{n}`" for n in names) for names in (hidden, named)),
-                f"`{r['verdict']}`",
-                *errors,
-            ]
-        )
+        rows.append([r["rig"], hidden, named, f"`{r['verdict']}`", *left])
     ends = [f"channel {c}: as given, repaired, noise" for c in (1, 2)]
     _table(folder / "close_loop_rigs.md", ["rig", "hidden", "named", "verdict", *ends], rows)
 
