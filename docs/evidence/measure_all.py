@@ -37,7 +37,7 @@ from .paper_gap import AGAIN_S
 
 ROOT = Path(__file__).parents[2]
 #: What every step runs; besides, the steps that diagnose run all of docs/evidence, the others the scripts that they name.
-CODE = "hydro_env", "agents", "configs", "tests/export/measure.py"
+CODE = "hydro_env", "agents", "configs"
 DIAGNOSED = (
     "pictures", "four_edge_rigs", "naming", "measured_machines", "close_loop", "blind_trials", "any_rig", "dialogue",
 )  # fmt: skip
@@ -254,6 +254,7 @@ STEPS = {
         ["{python} -m tests.export.measure pid_tuned cross_coupled adaptive_flow probing_flow ppo gru"],
         ["exports=exports.md"], tables=_exports,
     ),
+    "lab": Step(["{python} -m tests.lab.picture lab.png"], copies={"lab.png": "docs/images"}),
     "paper_gap": Step(
         ["{python} -m docs.evidence.paper_gap --out ."], ["paper_gap=paper_gap.md"], tables=_paper_gap
     ),
@@ -340,8 +341,8 @@ def is_current(name: str, done: Mapping[str, Any] | None) -> bool:
     commands = list(STEPS[name].commands)
     if done is None or done.get("commands") != commands:
         return False
-    named = re.findall(r"docs\.evidence\.(\w+)", " ".join(commands))
-    code = ["docs/evidence"] if name in DIAGNOSED else [f"docs/evidence/{each}.py" for each in named]
+    named = re.findall(r"-m ((?:docs|tests)[.\w]+)", " ".join(commands))
+    code = ["docs/evidence"] if name in DIAGNOSED else [f"{each.replace('.', '/')}.py" for each in named]
     aside = TOLD if name in DIAGNOSED else (*TOLD, *DIAGNOSIS)
     return not git(
         "diff", "--name-only", done["commit"], "--", *CODE, *code, *(f":(exclude){each}" for each in aside)

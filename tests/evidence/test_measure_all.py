@@ -19,6 +19,7 @@ from docs.evidence.measure_all import STEPS, is_current
         ("hydro_env/controllers/data/pid.json", {*STEPS}),
         ("hydro_env/diagnosis/workflow.py", {*measure_all.DIAGNOSED}),
         ("docs/evidence/scaling.py", {*measure_all.DIAGNOSED, "scaling"}),
+        ("tests/lab/picture.py", {"lab"}),
         ("docs/evidence/results.json", set()),
         ("hydro_env/controllers/policies/gru.md", set()),
         ("docs/results.md", set()),
