@@ -585,12 +585,12 @@ def _licence(about: Any) -> str:
     return next((text for text in stated if text), "not declared")
 
 
-def take(argument: str) -> None:
-    """Keeps what the tables need of a result file, with the commit it was measured at."""
+def take(argument: str, command: str = "") -> None:
+    """Keeps what the tables need of a result file, with the commit it was measured at and the command, else the one before."""
     if argument == "licences":
         take_licences()
         return
-    results = _results()
+    results, made = _results(), {"command": command} if command else {}
     name, _, path = argument.rpartition("=")
     if name:
         if name not in results["tables"]:
@@ -600,7 +600,7 @@ def take(argument: str) -> None:
             [cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")
         ]
         kept = {key: value for key, value in results["tables"][name].items() if key != "commits"}
-        results["tables"][name] = kept | {"commit": _commit(), "head": rows[0], "rows": rows[2:]}
+        results["tables"][name] = kept | made | {"commit": _commit(), "head": rows[0], "rows": rows[2:]}
     else:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         if data["schema"] == "hydro_env/scores/1":
@@ -618,9 +618,9 @@ def take(argument: str) -> None:
                 kept["commits"][split] = kept["commits"].get(split, {}) | dict.fromkeys(
                     data["controllers"], _commit()
                 )
-            kept |= {"seed": data["seed"], "columns": columns, "rows": rows}
+            kept |= made | {"seed": data["seed"], "columns": columns, "rows": rows}
         elif data["schema"] == "hydro_env/speed/1":
-            kept = {"command": results["speed"]["command"], "commit": _commit()}
+            kept = {"command": results["speed"]["command"], "commit": _commit()} | made
             results["speed"] = kept | {key: data[key] for key in SPEED}
         else:
             raise SystemExit(f"{path}: schema {data['schema']!r}; scores.json and speed.json are right")

@@ -312,7 +312,7 @@ STEPS = {
     ),
     "dialogue": Step(
         [
-            f"{{python}} -m docs.evidence.dialogue --seed {BLIND_SEED + 100_000} --singles 36 --pairs 20 --empty 16"
+            f"{{python}} -m docs.evidence.dialogue --seed {BLIND_SEED + 100_000} --singles 36 --pairs 12 --empty 16"
             " --questions asked random --jobs 2 --out ."
         ],
         ["dialogue=dialogue.md"],
@@ -371,12 +371,20 @@ def measure(out: Path, name: str, data: Path | None) -> None:
         step.tables(folder)
 
 
+def as_published(name: str) -> str:
+    """The commands of a step as they stand above its table."""
+    words = {"python": "python", "hydro": "hydro-env", "data": "DATA", "root": "."}
+    texts = (command.format(**words).replace(" --jobs 2", "") for command in STEPS[name].commands)
+    return "; ".join(re.sub(r"--out \.$", "--out DIR", text) for text in texts)
+
+
 def publish(out: Path, names: Sequence[str]) -> None:
     """Takes what the steps have left into the documents."""
     for name in names:
         for argument in STEPS[name].publish:
             table, _, file = argument.rpartition("=")
-            generate.take(f"{table}={out / name / file}" if table else str(out / name / file))
+            made = str(out / name / file)
+            generate.take(f"{table}={made}" if table else made, as_published(name))
         for pattern, place in STEPS[name].copies.items():
             for path in sorted((out / name).glob(pattern)):
                 shutil.copy(path, ROOT / place)
