@@ -438,7 +438,7 @@ def reward() -> str:
     formulas = {
         "tracking": "|speed - set-point| / 100 rpm, mean of both motors",
         "difference": "|speed 1 - speed 2| / 100 rpm",
-        "variation": "|action - action before|, mean of both valves",
+        "variation": "|command - command before| as a fraction of the rated one, mean of both valves",
         "divergence": "1, once, if the simulation diverges",
     }
     rows = []
