@@ -627,6 +627,13 @@ def take(argument: str, command: str = "") -> None:
     RESULTS.write_text(_json(results) + "\n", encoding="utf-8")
 
 
+def keep(name: str, command: str) -> None:
+    """Keeps at which commit files that lie beside results.json were measured, and with what."""
+    results = _results()
+    results["files"][name] = {"command": command, "commit": _commit()}
+    RESULTS.write_text(_json(results) + "\n", encoding="utf-8")
+
+
 def _commit() -> str:
     done = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True, check=True
@@ -744,7 +751,7 @@ def leaderboard() -> str:
         "tracking, rpm", "travel, 1/s", "reversals, 1/s", "time per decision, µs",
     ]  # fmt: skip
     told = ", ".join(f"{name} {version}" for name, version in found[0]["versions"].items()) if found else ""
-    return f"Versions: {told}.\n\n{_table(head, rows)}"
+    return f"{_origin(_results()['files']['leaderboard'])} Versions: {told}.\n\n{_table(head, rows)}"
 
 
 def _better(ours: dict[str, Any], theirs: dict[str, Any]) -> float:
@@ -858,13 +865,17 @@ def _trial_rows() -> list[dict[str, Any]]:
 
 def trials() -> str:
     """Counts of the blind trials and every one that failed."""
-    return _evidence("blind_trials").table(_trial_rows()).strip()
+    at = _results()["files"]["blind_trials"]["commit"]
+    return f"{_evidence('blind_trials').table(_trial_rows()).strip()}\n\nMeasured at commit `{at}`."
 
 
 def naming() -> str:
     """The naming benchmark: methods, and what the diagnosis says of its certainty."""
     scores = json.loads((EVIDENCE / "naming.json").read_text(encoding="utf-8"))
-    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{scoring.table(scores)}"
+    made = (
+        f"{_origin(_results()['files']['naming'])} The first {scores['rigs']} rigs of seed {scores['seed']}."
+    )
+    return f"{made}\n\n{scoring.table(scores)}"
 
 
 def _counts() -> list[tuple[str, int, int]]:

@@ -32,7 +32,9 @@ from hydro_env.files import write_json, write_text
 from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
 from .any_policy import TUNED, compared
+from .blind_trials.running import rows_of
 from .blind_trials.tables import markdown
+from .blind_trials.tables import publish as publish_trials
 from .paper_gap import AGAIN_S
 
 ROOT = Path(__file__).parents[2]
@@ -149,6 +151,11 @@ def _four_edges(folder: Path) -> None:
     }  # fmt: skip
     rows = [[text, *(str(sum(map(counted, own))) for own in seeds)] for text, counted in counts.items()]
     _table(folder / "four_edge_rigs.md", ["count", "seed 1", "seed 2"], rows)
+
+
+def _blind_trials(folder: Path) -> None:
+    (folder / "published").mkdir(exist_ok=True)
+    publish_trials(rows_of(folder), folder / "published")
 
 
 def _any_rig(folder: Path) -> None:
@@ -297,8 +304,8 @@ STEPS = {
     "blind_trials": Step(
         [
             f"{{python}} -m docs.evidence.blind_trials --seed {BLIND_SEED} --jobs 2 --out .",
-            "{python} -m docs.evidence.blind_trials --out . --write {root}/docs/evidence",
         ],
+        copies={"published/trials.json": "docs/evidence"}, tables=_blind_trials,
     ),
     "any_rig": Step(
         [
@@ -354,8 +361,7 @@ def measure(out: Path, name: str, data: Path | None) -> None:
     step, folder = STEPS[name], out / name
     folder.mkdir(parents=True, exist_ok=True)
     words = {
-        "python": shlex.quote(sys.executable), "hydro": f"{shlex.quote(sys.executable)} -m hydro_env", "root": str(ROOT),
-        "data": str(data),
+        "python": shlex.quote(sys.executable), "hydro": f"{shlex.quote(sys.executable)} -m hydro_env", "data": str(data),
     }  # fmt: skip
     for command in step.commands:
         with (folder / "log.txt").open("a", encoding="utf-8") as log:
@@ -373,7 +379,7 @@ def measure(out: Path, name: str, data: Path | None) -> None:
 
 def as_published(name: str) -> str:
     """The commands of a step as they stand above its table."""
-    words = {"python": "python", "hydro": "hydro-env", "data": "DATA", "root": "."}
+    words = {"python": "python", "hydro": "hydro-env", "data": "DATA"}
     texts = (command.format(**words).replace(" --jobs 2", "") for command in STEPS[name].commands)
     return "; ".join(re.sub(r"--out \.$", "--out DIR", text) for text in texts)
 
@@ -388,6 +394,8 @@ def publish(out: Path, names: Sequence[str]) -> None:
         for pattern, place in STEPS[name].copies.items():
             for path in sorted((out / name).glob(pattern)):
                 shutil.copy(path, ROOT / place)
+        if STEPS[name].copies:
+            generate.keep(name, as_published(name))
     generate.write()
 
 
