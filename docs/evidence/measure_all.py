@@ -319,7 +319,7 @@ STEPS = {
     ),
     "dialogue": Step(
         [
-            f"{{python}} -m docs.evidence.dialogue --seed {BLIND_SEED + 100_000} --singles 36 --pairs 12 --empty 16"
+            f"{{python}} -m docs.evidence.dialogue --seed {BLIND_SEED + 100_000} --singles 36 --pairs 20 --empty 16"
             " --questions asked random --jobs 2 --out ."
         ],
         ["dialogue=dialogue.md"],
