@@ -1,6 +1,6 @@
 """What spoils a controller: `python -m agents.robustness --out runs/robustness [CONTROLLER ...]`.
 
-The set-point steps of the paper's section 4.1 under conditions nobody trained or tuned for: noisier sensors, delayed
+The set-point steps of the paper's section 4.1 under conditions that no law was tuned for: noisier sensors, delayed
 commands, another control period, valves that change while they run, a faulty sensor. Scores are interquartile means over
 pairs of `test_interp` (and `faulted`), cases that are used for nothing else; DIR receives `robustness.json` and
 `robustness.md`.

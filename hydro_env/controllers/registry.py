@@ -83,7 +83,7 @@ CONTROLLERS: dict[str, Entry] = {
         _law(ProbingFlow, "probing_flow", "probes the valves at rest, estimates on line, plans ahead"),
         _law(BenchFlow, "bench_flow", "the same, starting from valve-bench curves"),
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
-        _tuned("oracle", "model-predictive control with the true plant: the bound"),
+        _tuned("oracle", "model-predictive control with the true plant and loads: the reference"),
         _policy("ppo", "network from the observation alone, trained with PPO"),
         _policy("sac", "network from the observation alone, trained with SAC"),
         _policy("gru", "recurrent network from the observation alone"),

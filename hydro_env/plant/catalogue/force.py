@@ -41,8 +41,8 @@ MAGNETIC_HYSTERESIS = _effect(
     states=(State("loop", _loop_rate, scale=0.1),),
     indistinguishable_from=("spool_stiction", "input_hysteresis"),
     separated_by={
-        "spool_stiction": "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, then again with a dither of "
-        "5 % at 100 Hz: dither shrinks stiction, not magnetic hysteresis (`hydro-env valve-test` reads the loops over the rate)",
+        "spool_stiction": "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, with the spool position: "
+        "after a turn stiction holds it until the force exceeds it, magnetic hysteresis lets it move at once, on a smaller slope",
     },
 )  # fmt: skip
 

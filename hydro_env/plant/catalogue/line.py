@@ -179,7 +179,7 @@ EXTERNAL_LEAKAGE = _effect(
     name="external_leakage",
     title="a leak from a line to the tank",
     summary="one line loses oil to the tank, in proportion to its own pressure",
-    signature="speed lost in both directions alike, most where the leaking line drives; the lines drain at rest",
+    signature="slower where the leaking line drives, faster the other way, much as a null offset; the lines drain at rest",
     source="laminar leak; mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
     parameters=(
         Parameter("conductance", "m3/(s Pa)", 0.0, low=-1e-10, high=1e-10, typical=4e-12, scaling=MOTOR_SIZE,

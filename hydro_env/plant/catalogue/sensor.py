@@ -39,7 +39,7 @@ SENSOR_GAIN = _effect(
     name="sensor_gain",
     title="a scale error of the speed sensor",
     summary="the speed sensor's scale is wrong",
-    signature="redundancy check fails, physics does not",
+    signature="speed contradicts pressure and flow by one factor; the rig behaves as modelled",
     source="pulses per turn, calibration",
     parameters=(
         assumed("gain", "1", 1.0, low=0.7, high=1.4, typical=1.05, log=True, note="measured over true speed"),
@@ -57,7 +57,7 @@ SENSOR_OFFSET = _effect(
     name="sensor_offset",
     title="a zero error of the speed sensor",
     summary="the speed sensor's zero is wrong",
-    signature="redundancy check fails, physics does not",
+    signature="speed contradicts pressure and flow by a constant; the rig behaves as modelled",
     source="drift of analogue speed signals",
     parameters=(
         assumed("offset", "rad/s", 0.0, low=-10.0, high=10.0, typical=1.0, note="measured speed at standstill"),
