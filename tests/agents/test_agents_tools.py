@@ -67,7 +67,7 @@ def test_the_search_says_what_it_needs(tmp_path):
         search(tmp_path / "absent.yml", tmp_path / "out", trials=1, steps=512)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_rl_zoo_trains_from_the_same_file(tmp_path, algorithm):
     pytest.importorskip("rl_zoo3")
     zoo = [str(Path(sys.executable).with_name("rl_zoo3")), "train", "--gym-packages", "hydro_env"]

@@ -95,6 +95,7 @@ def test_the_same_effect_is_found_on_the_other_channel(tmp_path: Path) -> None:
         assert found.model.pair(name) == pytest.approx((value, value), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_diagnosed_model_is_diagnosed_again_after_it_drifted(tmp_path: Path) -> None:
     """The form of the rig's dead zone is another than the catalogue's, so the model that is written has a correction of form."""
     rig = {"duration": 8.0, "forms": "different", "base_error": 0.1}

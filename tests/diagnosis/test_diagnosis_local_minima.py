@@ -156,7 +156,9 @@ def test_known_parameters_begin_again_as_given_and_effects_stay() -> None:
     assert problem.adopt(again) and problem.q[0] == 0.0 and problem.cost == 3.0
 
 
-@pytest.mark.parametrize("seed", [61000, 61001, 61002, 61003])
+@pytest.mark.parametrize(
+    "seed", [61000, 61001, *(pytest.param(n, marks=pytest.mark.slow) for n in (61002, 61003))]
+)
 def test_calibration_finds_rigs_whose_spools_are_wrong_by_a_sixth(tmp_path: Path, seed: int) -> None:
     practice = make_practice((), base_error=0.15, duration=12.0, rate=500.0, seed=seed, runs=("fit_1",))
     practice.write(tmp_path)

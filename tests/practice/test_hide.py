@@ -350,6 +350,7 @@ def test_logs_of_a_large_rig_are_those_of_its_size() -> None:
         make_practice(["load_bias:1"], model=model, values=wrong)
 
 
+@pytest.mark.slow
 def test_manoeuvres_of_a_motor_that_starts_slowly_last_as_much_longer() -> None:
     """Its ramps reach the full command, and its lines stay between tank and supply."""
     slow = {"J": 0.015, "Km": 4e-12, "pressure_dependent_flow.supply_pressure": 50e5}
