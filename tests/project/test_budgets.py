@@ -22,7 +22,7 @@ MAX_LINES = {
     "hydro_env/experiments": 1_800,
 }
 #: Words, without generated parts, of everything that matches.
-MAX_WORDS = {"docs/**/*.md": 26_200, "CHANGELOG.md": 2_500, "README.md": 700}
+MAX_WORDS = {"docs/**/*.md": 25_500, "CHANGELOG.md": 2_500, "README.md": 700}
 
 _LAYOUT = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,
